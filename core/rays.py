@@ -1,0 +1,187 @@
+"""Rays through Embree: closest hits, occlusion, straight-through surfaces; threads and chunks.
+
+The only file that imports embreex. Embree releases the GIL, so chunks run on threads; the order
+of results, and with it every bake, does not depend on how many there are.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+
+from .scene import Scene
+
+CHUNK = 8192
+"""Rays a call: small enough for the second-level cache, large enough to hide Python."""
+
+LAYERS = 24
+"""See-through surfaces a ray may pass before it counts as blocked."""
+
+
+def thread_count() -> int:
+    """Threads that a bake uses: the cores this process may run on, at most 16."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(16, cores))
+
+
+def chunks(count: int, size: int = CHUNK) -> list[slice]:
+    """Slices of at most `size` that cover range(count)."""
+    return [slice(start, min(start + size, count)) for start in range(0, count, size)]
+
+
+def in_threads(function: Callable, items: Iterable, threads: int | None = None) -> list:
+    """[function(item) for item in items], on threads, in order; the first exception is raised."""
+    items = list(items)
+    threads = min(threads or thread_count(), len(items))
+    if threads <= 1:
+        return [function(item) for item in items]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(function, items))
+
+
+class Hits(NamedTuple):
+    """triangle (n,) int32, −1 where nothing was hit; u, v (n,) float32 barycentric weights of the
+    second and third corner; distance (n,) float32 in lengths of the direction vector."""
+
+    triangle: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+    distance: np.ndarray
+
+
+class Bvh:
+    """Embree's hierarchy over (T, 3, 3) float32 triangle corners, in metres."""
+
+    def __init__(self, corners: np.ndarray):
+        self.size = len(corners)
+        self._scene = EmbreeScene()
+        if self.size:
+            TriangleMesh(self._scene, np.ascontiguousarray(corners, np.float32))
+            # Embree builds at the first query; do it here, on one thread
+            self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
+
+    def closest(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """(n,) int32 triangle hit first, −1 for none. One Embree call: chunk before it."""
+        if not self.size:
+            return np.full(len(origins), -1, np.int32)
+        return self._scene.run(origins, directions)
+
+    def hits(self, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray | None = None) -> Hits:
+        """Closest hits with their place; `reach` (n,) float32 bounds the distance."""
+        if not self.size:
+            empty = np.zeros(len(origins), np.float32)
+            return Hits(np.full(len(origins), -1, np.int32), empty, empty, empty + np.float32(np.inf))
+        far = np.full(len(origins), 1e30, np.float32) if reach is None else np.array(reach, np.float32)
+        found = self._scene.run(origins, directions, dists=far, output=True)
+        return Hits(found["primID"], found["u"], found["v"], found["tfar"])
+
+    def occluded(self, origins: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+        """(n,) bool: whether anything stands on the open segment origins + t · vectors, 0 < t < 1."""
+        if not self.size:
+            return np.zeros(len(origins), bool)
+        # just below 1, so that the surface on which the segment ends does not block it
+        reach = np.full(len(origins), 1 - 1e-4, np.float32)
+        return self._scene.run(origins, vectors, dists=reach, query="OCCLUDED") == 0
+
+
+class Transmission:
+    """What each triangle lets straight through: constants, or the scene's map where it has one."""
+
+    def __init__(self, scene: Scene):
+        self.scene = scene
+        constant = np.array([m.transmission for m in scene.materials], np.float32)
+        mapped = np.array([m.mapped for m in scene.materials], bool)
+        self.value = constant[scene.triangle_material]
+        self.mapped = np.zeros(len(scene.triangles), bool)
+        if scene.transmission_map is not None:
+            self.mapped = mapped[scene.triangle_material] & np.isfinite(scene.atlas_uv).all((1, 2))
+        self.see_through = self.value.any(axis=1) | self.mapped
+        self.tinted = bool(np.ptp(self.value, axis=1).any()) or (
+            scene.transmission_map is not None and bool(np.ptp(scene.transmission_map, axis=2).max() > 1e-3)
+        )
+
+    def at(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(n, 3) float32 in [0, 1] at barycentric places of triangles."""
+        result = self.value[triangle]
+        rows = np.flatnonzero(self.mapped[triangle])
+        if len(rows):
+            corners = self.scene.atlas_uv[triangle[rows]]
+            a, b = u[rows, None], v[rows, None]
+            uv = corners[:, 0] * (1 - a - b) + corners[:, 1] * a + corners[:, 2] * b
+            result[rows] = sample_map(self.scene.transmission_map, uv)
+        return result
+
+
+def sample_map(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """(n, C) values of an (H, W, C) image at (n, 2) coordinates in [0, 1], nearest texel; row 0 is v = 0."""
+    height, width = image.shape[:2]
+    column = np.clip((uv[:, 0] * width).astype(np.int32), 0, width - 1)
+    row = np.clip((uv[:, 1] * height).astype(np.int32), 0, height - 1)
+    return image[row, column]
+
+
+class Tracer:
+    """Shadow rays of a scene.
+
+    offset: m; lift origins off their surface by this much along the geometric normal.
+    """
+
+    def __init__(self, scene: Scene, threads: int | None = None):
+        self.threads = threads
+        casts = np.array([o.casts_shadow for o in scene.objects], bool)[scene.triangle_object]
+        self.transmission = Transmission(scene)
+        see_through = self.transmission.see_through
+        corners = scene.positions[scene.triangles]
+        self._solid = Bvh(corners[casts & ~see_through])
+        self._panes_of_glass = np.flatnonzero(casts & see_through)
+        self._glass = Bvh(corners[self._panes_of_glass])
+        # float32 steps grow with the distance from the origin, lifts must exceed them
+        reach = float(np.abs(scene.positions).max(initial=0.0))
+        self.offset = max(2e-5 * scene.extent, 4e-7 * reach)
+
+    def visibility(self, origins: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+        """Part of the light that passes along open segments origins + t · vectors, 0 < t < 1.
+
+        origins, vectors: (n, 3) float32, m. Returns (n,) float32 in [0, 1], or (n, 3) where the scene
+        holds tinted see-through surfaces. Lift origins by `offset` first.
+        """
+        origins = np.ascontiguousarray(origins, np.float32)
+        vectors = np.ascontiguousarray(vectors, np.float32)
+        parts = in_threads(lambda s: self._segment(origins[s], vectors[s]), chunks(len(origins)), self.threads)
+        if parts:
+            return np.concatenate(parts)
+        return np.zeros((0, 3) if self._glass.size and self.transmission.tinted else 0, np.float32)
+
+    def _segment(self, origins, vectors):
+        free = 1 - self._solid.occluded(origins, vectors).astype(np.float32)
+        if not self._glass.size:
+            return free
+        passed = np.repeat(free[:, None], 3, axis=1)
+        alive = np.flatnonzero(free)
+        start, rest = origins[alive], vectors[alive]
+        for _ in range(LAYERS):
+            if not len(alive):
+                break
+            hits = self._glass.hits(start, rest, np.full(len(alive), 1 - 1e-4, np.float32))
+            hit = np.flatnonzero(hits.triangle >= 0)
+            alive, start, rest = alive[hit], start[hit], rest[hit]
+            triangle = self._panes_of_glass[hits.triangle[hit]]
+            passed[alive] *= self.transmission.at(triangle, hits.u[hit], hits.v[hit])
+            start, rest = _step_on(start, rest, hits.distance[hit], self.offset)
+            more = np.flatnonzero(passed[alive].any(axis=1))
+            alive, start, rest = alive[more], start[more], rest[more]
+        passed[alive] = 0
+        return passed if self.transmission.tinted else passed.mean(axis=1)
+
+
+def _step_on(start, vectors, distance, offset):
+    """The rest of segments after a hit, begun `offset` metres behind it."""
+    length = np.linalg.norm(vectors, axis=1)
+    step = np.minimum(distance + offset / np.maximum(length, 1e-30), 1)[:, None]
+    return start + vectors * step, vectors * (1 - step)
