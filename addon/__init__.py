@@ -1,0 +1,34 @@
+"""Lightpanes inside Blender: reads the scene into core's types, calls core, writes the results back."""
+
+from __future__ import annotations
+
+import atexit
+
+from . import commands, operators, panel, properties, relight
+
+MODULES = (properties, operators, panel, relight, commands)
+
+_registered = False
+
+
+def register() -> None:
+    """Add settings, operators, panels, handlers and the command; doing it twice does no harm."""
+    global _registered
+    if _registered:
+        return
+    for module in MODULES:
+        module.register()
+    _registered = True
+    # The pip bpy of 4.5 hangs at exit while handlers of ours are registered.
+    atexit.register(unregister)
+
+
+def unregister() -> None:
+    """Take all of it out again."""
+    global _registered
+    if not _registered:
+        return
+    _registered = False
+    atexit.unregister(unregister)
+    for module in reversed(MODULES):
+        module.unregister()

@@ -1,0 +1,337 @@
+"""The command line: `python -m lightpanes …` and `blender --background FILE.blend --command lightpanes …`.
+
+Exit code 0 only on success; 2 with one line on stderr where the user can help it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import bpy
+
+from ..core.scene import SceneError
+from . import baking, operators, relight, store
+
+OK, BAD_INPUT, INTERRUPTED = 0, 2, 130
+
+# The first bytes of a .blend: plain, zstd, gzip.
+MAGIC = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")
+
+
+class UserError(Exception):
+    """Something that the user can help; the message says what to do."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message):
+        raise UserError(f"{message} (see {self.prog} --help)")
+
+
+def main(arguments: list[str], *, opened: bool = False) -> int:
+    """Run a command and return its exit code.
+
+    opened: the .blend is the one that Blender has open, so no FILE is given.
+    """
+    try:
+        options = _parser(opened).parse_args(arguments)
+        return options.run(options)
+    except (UserError, SceneError) as error:
+        print(f"lightpanes: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except SystemExit as leaving:  # --help
+        return int(leaving.code or 0)
+    except KeyboardInterrupt:
+        print("\nlightpanes: cancelled; nothing was written.", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _parser(opened: bool) -> argparse.ArgumentParser:
+    name = "blender --background FILE.blend --command lightpanes" if opened else "python -m lightpanes"
+    parser = _Parser(prog=name, description="Bake how a scene passes light around once, then relight it live.")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    def command(word, run, text):
+        made = commands.add_parser(word, help=text, description=text)
+        if not opened:
+            made.add_argument("file", metavar="FILE.blend")
+        made.add_argument("--output", metavar="DIR", help="folder for the results; default: beside the file")
+        made.add_argument("--json", metavar="REPORT", help="write the report to this file, '-' for the terminal")
+        made.set_defaults(run=run, opened=opened)
+        return made
+
+    bake = command("bake", _bake, "Bake a scene; the result goes to FILE_lightpanes.blend, never over the input.")
+    bake.add_argument("--error", type=_number(0.002, 0.5), metavar="E", help="relative error to bake for (0.05)")
+    bake.add_argument("--time", type=_number(0, 1e6), metavar="S", help="seconds that the bake may take, 0: no limit")
+    bake.add_argument("--resolution", type=_number(16, 4096, int), metavar="N", help="atlas size in pixels (256)")
+    bake.add_argument("--seed", type=_number(0, 2**31 - 1, int), metavar="N", help="seed of all random numbers (0)")
+    again = command("relight", _relight, "Relight a baked scene by its lamps as they are; goes to FILE_relit.blend.")
+    again.add_argument("--frame", type=_number(-1048574, 1048574, int), metavar="N", help="frame to relight for")
+    command("chart", _chart, "Chart error against time, beside Cycles and the paper's method.")
+    command("info", _info, "Say what a file's bake is and whether it is still valid.")
+    return parser
+
+
+def _number(low, high, kind=float) -> Callable[[str], float]:
+    def read(text):
+        try:
+            value = kind(text)
+        except ValueError:
+            value = None
+        if value is None or not low <= value <= high:
+            what = "a whole number" if kind is int else "a number"
+            raise argparse.ArgumentTypeError(f"{text!r} is not {what} from {low:g} to {high:g}")
+        return value
+
+    return read
+
+
+def _bake(options) -> int:
+    path = _open(options)
+    target = _target(options, path, "_lightpanes")
+    asked = bpy.context.scene.lightpanes
+    for setting, value in (
+        ("error_target", options.error),
+        ("time_budget", options.time),
+        ("resolution", options.resolution),
+        ("seed", options.seed),
+    ):
+        if value is not None:
+            setattr(asked, setting, value)
+    with Bar() as bar:
+        report = baking.bake_scene(bpy.context, bar)
+    report = {**_context(path), "settings": _settings(asked), **report}
+    _save_blend(target)
+    report["file"] = str(target)
+    _finish(options, path, target, report)
+    _say(options, f"{operators.summary(report)}. Wrote {target}")
+    return OK
+
+
+def _relight(options) -> int:
+    path = _open(options)
+    target = _target(options, path, "_relit")
+    if options.frame is not None:
+        bpy.context.scene.frame_set(options.frame)
+    milliseconds = relight.relight(bpy.context)
+    stale = list(relight.session(bpy.context.scene).stale)
+    for sentence in stale:
+        _say(options, f"Warning: {sentence}")
+    _save_blend(target)
+    report = {**_context(path), "relight_ms": round(milliseconds, 2), "stale": stale, "file": str(target)}
+    _finish(options, path, target, report)
+    _say(options, f"Relit in {milliseconds:.1f} ms. Wrote {target}")
+    return OK
+
+
+def _info(options) -> int:
+    path = _open(options)
+    scene = bpy.context.scene
+    meta = store.read_meta(scene)
+    if meta is None:
+        raise UserError(f"'{path.name}' has no bake in scene '{scene.name}'; bake it first.")
+    stale = list(relight.check_stale(bpy.context))
+    report = {**_context(path), "settings": _settings(scene.lightpanes), **meta.get("report", {}), "stale": stale}
+    _say(options, operators.summary(report))
+    for key, value in report.items():
+        if not isinstance(value, (dict, list)):
+            _say(options, f"  {key}: {value}")
+    for sentence in stale + report.get("warnings", []):
+        _say(options, f"  Warning: {sentence}")
+    _write_report(options, report)
+    return OK
+
+
+def _chart(options) -> int:
+    path = _open(options)
+    output = _folder(options, path)
+    from . import chart
+
+    code = chart.run(path, output)
+    return code
+
+
+def _open(options) -> Path:
+    """The .blend to work on, open in Blender."""
+    if options.opened:
+        # Blender runs the command on the start-up file when it can't open the one it was given.
+        if not bpy.data.filepath:
+            raise UserError("No .blend is open: name an existing file before --command.")
+        return Path(bpy.data.filepath)
+    path = Path(options.file).expanduser().absolute()
+    if not path.exists():
+        raise UserError(f"There is no file '{path}'.")
+    if not path.is_file():
+        raise UserError(f"'{path}' is not a file.")
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(8)
+    except OSError as error:
+        raise UserError(f"'{path}' can't be read: {error.strerror}.") from error
+    if not head.startswith(MAGIC):
+        raise UserError(f"'{path.name}' is not a .blend file.")
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
+    except RuntimeError as error:
+        raise UserError(f"Blender can't open '{path.name}': {_first_line(error)}") from error
+    return path
+
+
+def _first_line(error) -> str:
+    lines = [line for line in str(error).splitlines() if line.strip()]
+    return lines[0].removeprefix("Error: ") if lines else "unknown error"
+
+
+def _folder(options, path: Path) -> Path:
+    """Where results go, made if missing and known to be writable before any work is done."""
+    folder = path.parent if options.output is None else Path(options.output).expanduser().absolute()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except OSError as error:
+        hint = "" if options.output is not None else "; name another with --output"
+        raise UserError(f"Can't write to folder '{folder}': {error.strerror}{hint}.") from error
+
+
+def _target(options, path: Path, suffix: str) -> Path:
+    target = _folder(options, path) / f"{path.stem}{suffix}.blend"
+    if options.json not in (None, "-"):
+        report = Path(options.json).expanduser().absolute()
+        if report == path:
+            raise UserError("--json names the .blend itself.")
+        if report.is_dir() or not report.parent.is_dir():
+            raise UserError(f"Can't write the report to '{report}': its folder must exist.")
+    return target
+
+
+def _replacing(target: Path, write: Callable[[Path], object]) -> None:
+    """Write under a temporary name beside `target`, then put it in place at once."""
+    temporary = target.with_name(f".{target.stem}-{os.getpid()}{target.suffix}")
+    try:
+        write(temporary)
+        os.replace(temporary, target)
+    except (OSError, RuntimeError) as error:
+        reason = getattr(error, "strerror", None) or _first_line(error)
+        raise UserError(f"Can't write '{target}': {reason}.") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _save_blend(target: Path) -> None:
+    def write(path):
+        bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, compress=True, check_existing=False)
+
+    _replacing(target, write)
+
+
+def _finish(options, path: Path, target: Path, report: dict) -> None:
+    """The report, and with --output also the irradiance as an OpenEXR file."""
+    if options.output is not None:
+        image = store.find_image(bpy.context.scene, store.IRRADIANCE)
+        picture = target.with_name(f"{target.stem}_irradiance.exr")
+        _replacing(picture, lambda place: image.save(filepath=str(place), save_copy=True))
+        report["irradiance"] = str(picture)
+        summary = target.with_name(f"{target.stem}_report.json")
+        _replacing(summary, lambda place: place.write_text(json.dumps(report, indent=2) + "\n", "utf-8"))
+    _write_report(options, report)
+
+
+def _write_report(options, report: dict) -> None:
+    text = json.dumps(report, indent=2) + "\n"
+    if options.json == "-":
+        print(text, end="")
+    elif options.json is not None:
+        _replacing(Path(options.json).expanduser().absolute(), lambda place: place.write_text(text, "utf-8"))
+
+
+def _context(path: Path) -> dict:
+    from .. import __version__
+
+    return {
+        "input": str(path),
+        "lightpanes": __version__,
+        "blender": bpy.app.version_string,
+        "python": platform.python_version(),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+    }
+
+
+def _settings(asked) -> dict:
+    return {
+        "error_target": round(asked.error_target, 6),
+        "time_budget": asked.time_budget,
+        "resolution": asked.resolution,
+        "seed": asked.seed,
+    }
+
+
+def _say(options, text: str) -> None:
+    """For people: on stdout, unless the report goes there."""
+    print(text, file=sys.stderr if options.json == "-" else sys.stdout)
+
+
+class Bar:
+    """Progress on stderr: a bar that redraws itself on a terminal, plain lines elsewhere.
+
+    Call it with a `core.bake.Progress`.
+    """
+
+    WIDTH = 30
+
+    def __init__(self, stream=None):
+        self.stream = stream or sys.stderr
+        self.terminal = self.stream.isatty()
+        self.start = time.monotonic()
+        self.stage, self.tenth, self.drawn = "", -1, 0.0
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self.terminal and self.stage:
+            self.stream.write("\n")
+            self.stream.flush()
+
+    def __call__(self, progress) -> None:
+        now, tenth = time.monotonic(), int(10 * progress.fraction)
+        fresh = progress.stage != self.stage
+        seconds = now - self.start
+        if self.terminal:
+            if fresh or now - self.drawn > 0.1 or progress.fraction >= 1:
+                done = round(self.WIDTH * min(1.0, progress.fraction))
+                bar = "█" * done + "·" * (self.WIDTH - done)
+                self.stream.write(f"\r\x1b[K{bar} {100 * progress.fraction:3.0f} %  {seconds:5.1f} s  {progress.stage}")
+                self.stream.flush()
+                self.drawn = now
+        elif fresh or tenth != self.tenth:
+            self.stream.write(f"{100 * progress.fraction:3.0f} %  {seconds:5.1f} s  {progress.stage}\n")
+            self.stream.flush()
+        self.stage, self.tenth = progress.stage, tenth
+
+
+def _in_blender(arguments: list[str]) -> int:
+    return main(arguments, opened=True)
+
+
+_command = None
+
+
+def register() -> None:
+    global _command
+    if hasattr(bpy.utils, "register_cli_command"):
+        _command = bpy.utils.register_cli_command("lightpanes", _in_blender)
+
+
+def unregister() -> None:
+    global _command
+    if _command is not None:
+        bpy.utils.unregister_cli_command(_command)
+        _command = None

@@ -1,0 +1,400 @@
+"""How baked light gets into materials: the `Lightpanes` node group behind a second Material Output.
+
+The user's nodes and links stay as they are. Beside them stand a group node and a Material Output that only EEVEE
+reads (and, when asked for, a pair that only Cycles reads), tagged `lightpanes`; without them the tree is what it was.
+"""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+
+from ..core.scene import Material, Scene
+from . import store
+
+GROUP = "Lightpanes"
+UV_LAYER = "Lightpanes"
+DEFAULT_MATERIAL = "Lightpanes Default"
+NODE_TAG = "lightpanes"
+
+_NO_NODES = "lightpanes_no_nodes"
+_SLOT = "lightpanes_slot"
+_SAMPLING = "lightpanes_sampling"
+_FORMER = "lightpanes_former"
+_GROUP = "lightpanes_group"
+
+
+def attach(context: bpy.types.Context, baked: Scene | None = None) -> list[str]:
+    """Let the baked objects' materials show the scene's bake. Returns warnings, each naming its material or object.
+
+    baked: what was baked; its materials give the albedo where a node tree does not show it plainly.
+    """
+    scene = context.scene
+    detach(scene)
+    warnings: list[str] = []
+    albedos = {material.name: material for material in baked.materials} if baked is not None else {}
+    group = _make_group(scene)
+    for material in _materials(context, warnings):
+        if material.library is not None or (material.node_tree is not None and material.node_tree.library is not None):
+            warnings.append(
+                f"Material '{material.name}' is linked from another file and can't show baked light; make it local."
+            )
+            continue
+        _attach_material(material, group, albedos.get(material.name))
+    show_in_cycles(scene)
+    return warnings
+
+
+def detach(scene: bpy.types.Scene) -> None:
+    """Take the scene's group out of all materials and give the trees back as they were."""
+    others = {_group_of(other) for other in bpy.data.scenes if other != scene}
+    groups = {group for group in bpy.data.node_groups if group.get(store.TAG) == GROUP and group not in others}
+    for material in list(bpy.data.materials):
+        tree = material.node_tree
+        if tree is not None and any(
+            _is_ours(node) and getattr(node, "node_tree", None) in groups for node in tree.nodes
+        ):
+            _detach_material(material)
+    _restore_bounces(scene)
+    _remove_default_material()
+    for group in groups:
+        bpy.data.node_groups.remove(group)
+
+
+def show_in_cycles(scene: bpy.types.Scene) -> None:
+    """Add or remove, as `scene.lightpanes.cycles` says, what shows the bake in Cycles.
+
+    Cycles brings the first hit of sky and emissive faces itself, so `Lightpanes Direct` is left out there, and its
+    own diffuse bounces, which the bake replaces, are switched off.
+    """
+    show = scene.lightpanes.cycles
+    for material in bpy.data.materials:
+        tree = material.node_tree
+        if tree is None or material.library is not None:
+            continue
+        shown = _pair(tree, "EEVEE")
+        if shown is None or shown[0].node_tree != _group_of(scene):
+            continue
+        if show and _pair(tree, "CYCLES") is None:
+            _add_pair(material, "CYCLES", shown[0].node_tree, shown[0])
+            _stop_light_sampling(material)
+        elif not show and _pair(tree, "CYCLES") is not None:
+            _remove_pair(material, "CYCLES")
+    cycles = getattr(scene, "cycles", None)
+    if show and cycles is not None and scene.lightpanes.diffuse_bounces < 0:
+        scene.lightpanes.diffuse_bounces = cycles.diffuse_bounces
+        cycles.diffuse_bounces = 0
+    elif not show:
+        _restore_bounces(scene)
+
+
+def _restore_bounces(scene):
+    cycles = getattr(scene, "cycles", None)
+    if cycles is not None and scene.lightpanes.diffuse_bounces >= 0:
+        cycles.diffuse_bounces = scene.lightpanes.diffuse_bounces
+    scene.lightpanes.diffuse_bounces = -1
+
+
+def _group_of(scene) -> bpy.types.NodeTree | None:
+    entries = store.find_entries(scene)
+    return None if entries is None else entries.data.get(_GROUP)
+
+
+def _is_ours(node) -> bool:
+    return NODE_TAG in node
+
+
+def _baked_objects(scene) -> list[bpy.types.Object]:
+    objects, pending = {}, list(scene.objects)
+    while pending:
+        item = pending.pop()
+        if item in objects:
+            continue
+        objects[item] = True
+        if item.instance_collection is not None:
+            pending.extend(item.instance_collection.all_objects)
+    return [item for item in objects if "lightpanes_baked" in item]
+
+
+def _materials(context, warnings) -> list[bpy.types.Material]:
+    """Materials on baked objects, those set by geometry nodes included; empty slots get a default material."""
+    depsgraph = context.evaluated_depsgraph_get()
+    found: dict[bpy.types.Material, None] = {}
+    for item in sorted(_baked_objects(context.scene), key=lambda item: item.name):
+        _fill_slots(item, warnings)
+        slots = [*item.material_slots, *item.evaluated_get(depsgraph).material_slots]
+        for slot in slots:
+            if slot.material is not None:
+                found[slot.material.original] = None
+    return list(found)
+
+
+def _fill_slots(item, warnings):
+    """Objects without a material look like Blender's default material; give them one that can show light."""
+    data = item.data
+    if data is None or not hasattr(data, "materials"):
+        return
+    if all(slot.material is not None for slot in item.material_slots) and item.material_slots:
+        return
+    if data.library is not None or item.library is not None:
+        warnings.append(f"'{item.name}' has no material and is linked from another file, so it can't show baked light.")
+        return
+    default = next((m for m in bpy.data.materials if m.get(store.TAG) == DEFAULT_MATERIAL), None)
+    if default is None:
+        default = bpy.data.materials.new(DEFAULT_MATERIAL)
+        default[store.TAG] = DEFAULT_MATERIAL
+        if default.node_tree is None:
+            default.use_nodes = True
+    if not item.material_slots:
+        data.materials.append(default)
+        data[_SLOT] = 1
+    for slot in item.material_slots:
+        if slot.material is None:
+            slot.material = default
+
+
+def _remove_default_material():
+    for default in [m for m in bpy.data.materials if m.get(store.TAG) == DEFAULT_MATERIAL]:
+        if default.node_tree is not None and any(_is_ours(node) for node in default.node_tree.nodes):
+            continue  # another scene still shows its bake on it
+        for item in bpy.data.objects:
+            for slot in item.material_slots:
+                if slot.material == default:
+                    slot.material = None
+            data = item.data
+            if data is not None and _SLOT in data:
+                data.materials.pop()
+                del data[_SLOT]
+        bpy.data.materials.remove(default)
+
+
+def _attach_material(material, group, baked: Material | None):
+    if material.node_tree is not None and _pair(material.node_tree, "EEVEE") is not None:
+        _detach_material(material)  # another scene's: the last bake shows
+    if not material.use_nodes:
+        _use_nodes(material)
+    color, value, mapped = _albedo(material.node_tree, baked)
+    node = _add_pair(material, "EEVEE", group, None)
+    node.inputs["Direct"].default_value = 1.0
+    node.inputs["Albedo Map"].default_value = float(mapped)
+    node.inputs["Albedo"].default_value = (*value, 1.0)
+    if color is not None:
+        material.node_tree.links.new(color, node.inputs["Albedo"])
+        node.inputs["Tint"].default_value = (*value, 1.0)
+
+
+def _use_nodes(material):
+    """Nodes for a material that has none: what it looks like stays, as far as Blender's own conversion goes."""
+    color = tuple(material.diffuse_color)
+    fresh = material.node_tree is None or not material.node_tree.nodes
+    material.use_nodes = True
+    material[_NO_NODES] = 1
+    if fresh:
+        shader = next((n for n in material.node_tree.nodes if n.type == "BSDF_PRINCIPLED"), None)
+        if shader is not None:
+            shader.inputs["Base Color"].default_value = color
+            shader.inputs["Metallic"].default_value = material.metallic
+            shader.inputs["Roughness"].default_value = material.roughness
+
+
+def _albedo(tree, baked: Material | None):
+    """(socket or None, constant (3,), read from `Lightpanes Albedo`) of the surface that EEVEE shows.
+
+    With a socket the albedo is the socket's colour times the constant.
+    """
+    output = tree.get_output_node("EEVEE")
+    links = output.inputs["Surface"].links if output is not None else ()
+    shader = links[0].from_node if links else None
+    color = factor = None
+    if shader is not None and shader.type == "BSDF_PRINCIPLED":
+        parts = [shader.inputs[name] for name in ("Metallic", "Transmission Weight", "Alpha")]
+        if not any(part.is_linked for part in parts):
+            metallic, transmission, alpha = (part.default_value for part in parts)
+            color, factor = shader.inputs["Base Color"], (1 - metallic) * (1 - transmission) * alpha
+    elif shader is not None and shader.type == "BSDF_DIFFUSE":
+        color, factor = shader.inputs["Color"], 1.0
+    if color is not None and color.is_linked:
+        return color.links[0].from_socket, (factor,) * 3, False
+    if color is not None:
+        return None, tuple(factor * c for c in color.default_value[:3]), False
+    if baked is not None and not baked.mapped:
+        return None, tuple(baked.albedo), False
+    return None, tuple(baked.albedo) if baked is not None else (0.8,) * 3, True
+
+
+def _pair(tree, target: str):
+    """(group node, output node) of ours for this engine, or None."""
+    for output in tree.nodes:
+        if _is_ours(output) and output.type == "OUTPUT_MATERIAL" and output.target == target:
+            for link in output.inputs["Surface"].links:
+                if _is_ours(link.from_node) and getattr(link.from_node, "node_tree", None) is not None:
+                    return link.from_node, output
+    return None
+
+
+def _add_pair(material, target: str, group, like):
+    """Our group node and output for an engine; `like`: a group node whose albedo the new one takes."""
+    tree = material.node_tree
+    active = tree.nodes.active
+    former = tree.get_output_node(target)
+    node, output = tree.nodes.new("ShaderNodeGroup"), tree.nodes.new("ShaderNodeOutputMaterial")
+    for each in (node, output):
+        each[NODE_TAG] = 1
+        each.select = False
+    node.node_tree = group
+    output.target = target
+    output.label = GROUP
+    if former is not None:
+        output[_FORMER] = former.name
+        drop = 180 if target == "EEVEE" else 340
+        node.location = (former.location.x, former.location.y - drop)
+        output.location = (former.location.x + 200, former.location.y - drop)
+        for socket in former.inputs:
+            if socket.is_linked and socket.name in output.inputs:
+                entrance = node.inputs["Shader"] if socket.name == "Surface" else output.inputs[socket.name]
+                tree.links.new(socket.links[0].from_socket, entrance)
+    if like is not None:
+        for name in ("Albedo", "Tint", "Albedo Map"):
+            node.inputs[name].default_value = like.inputs[name].default_value
+            if like.inputs[name].is_linked:
+                tree.links.new(like.inputs[name].links[0].from_socket, node.inputs[name])
+    tree.links.new(node.outputs["Shader"], output.inputs["Surface"])
+    output.is_active_output = True
+    tree.nodes.active = active
+    return node
+
+
+def _remove_pair(material, target: str):
+    tree = material.node_tree
+    pair = _pair(tree, target)
+    if pair is None:
+        return
+    node, output = pair
+    former = tree.nodes.get(output.get(_FORMER, ""))
+    if _SAMPLING in node:
+        material.cycles.emission_sampling = node[_SAMPLING]
+    tree.nodes.remove(output)
+    tree.nodes.remove(node)
+    if former is not None:
+        former.is_active_output = True
+
+
+def _detach_material(material):
+    for target in ("CYCLES", "EEVEE"):
+        _remove_pair(material, target)
+    for node in [node for node in material.node_tree.nodes if _is_ours(node)]:
+        material.node_tree.nodes.remove(node)
+    if _NO_NODES in material:
+        del material[_NO_NODES]
+        material.use_nodes = False
+
+
+def _stop_light_sampling(material):
+    """Our emission only shows light; without this Cycles would take every baked face for a lamp and waste rays on it."""
+    node = _pair(material.node_tree, "CYCLES")[0]
+    settings = getattr(material, "cycles", None)
+    if settings is None or _emits(material.node_tree):
+        return
+    node[_SAMPLING] = settings.emission_sampling
+    settings.emission_sampling = "NONE"
+
+
+def _emits(tree) -> bool:
+    for node in tree.nodes:
+        if node.type == "EMISSION" or (node.type == "GROUP" and not _is_ours(node)):
+            return True
+        if node.type == "BSDF_PRINCIPLED":
+            strength = node.inputs["Emission Strength"]
+            if strength.is_linked or strength.default_value > 0:
+                return True
+    return False
+
+
+def _make_group(scene) -> bpy.types.NodeTree:
+    """Shader + albedo × (irradiance + direct) / π as emission, on baked objects, seen by the camera or in mirrors."""
+    group = bpy.data.node_groups.new(GROUP, "ShaderNodeTree")
+    group[store.TAG] = GROUP
+    store.find_entries(scene).data[_GROUP] = group
+    sockets = group.interface
+    sockets.new_socket("Shader", in_out="INPUT", socket_type="NodeSocketShader")
+    for name in ("Albedo", "Tint"):
+        sockets.new_socket(name, in_out="INPUT", socket_type="NodeSocketColor").default_value = (1, 1, 1, 1)
+    for name in ("Albedo Map", "Direct"):
+        sockets.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat").default_value = 0.0
+    sockets.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
+    build = _Builder(group)
+    entrance, end = build.node("NodeGroupInput"), build.node("NodeGroupOutput")
+
+    uv = build.node("ShaderNodeUVMap")
+    uv.uv_map = UV_LAYER
+    scale = build.attribute("lightpanes_scale").outputs["Vector"]
+    offset = build.attribute("lightpanes_offset").outputs["Vector"]
+    place = build.vector("ADD", build.vector("MULTIPLY", uv.outputs["UV"], scale), offset)
+
+    light = build.image(store.find_image(scene, store.IRRADIANCE), place)
+    direct = store.find_image(scene, store.DIRECT)
+    if direct is not None:
+        share = build.vector("MULTIPLY", build.image(direct, place), entrance.outputs["Direct"])
+        light = build.vector("ADD", light, share)
+    albedo = build.vector("MULTIPLY", entrance.outputs["Albedo"], entrance.outputs["Tint"])
+    baked_albedo = store.find_image(scene, store.ALBEDO)
+    if baked_albedo is not None:
+        mix = build.node("ShaderNodeMix")
+        mix.data_type = "VECTOR"
+        group.links.new(entrance.outputs["Albedo Map"], mix.inputs[0])
+        group.links.new(albedo, mix.inputs[4])
+        group.links.new(build.image(baked_albedo, place), mix.inputs[5])
+        albedo = mix.outputs[1]
+    radiance = build.vector("MULTIPLY", build.vector("MULTIPLY", light, albedo), (1 / math.pi,) * 3)
+
+    # Seen after a diffuse bounce it would be bounced light that bounces again.
+    fresh = build.node("ShaderNodeMath")
+    fresh.operation = "LESS_THAN"
+    group.links.new(build.node("ShaderNodeLightPath").outputs["Diffuse Depth"], fresh.inputs[0])
+    fresh.inputs[1].default_value = 0.5
+    strength = build.node("ShaderNodeMath")
+    strength.operation = "MULTIPLY"
+    group.links.new(fresh.outputs[0], strength.inputs[0])
+    group.links.new(build.attribute("lightpanes_baked").outputs["Fac"], strength.inputs[1])
+
+    emission, add = build.node("ShaderNodeEmission"), build.node("ShaderNodeAddShader")
+    group.links.new(radiance, emission.inputs["Color"])
+    group.links.new(strength.outputs[0], emission.inputs["Strength"])
+    group.links.new(entrance.outputs["Shader"], add.inputs[0])
+    group.links.new(emission.outputs[0], add.inputs[1])
+    group.links.new(add.outputs[0], end.inputs["Shader"])
+    return group
+
+
+class _Builder:
+    """Adds nodes to a group from left to right."""
+
+    def __init__(self, group):
+        self.group = group
+
+    def node(self, kind: str):
+        node = self.group.nodes.new(kind)
+        node.location = (200 * (len(self.group.nodes) - 1), 0)
+        return node
+
+    def attribute(self, name: str):
+        node = self.node("ShaderNodeAttribute")
+        node.attribute_type, node.attribute_name = "OBJECT", name
+        return node
+
+    def image(self, image, place):
+        node = self.node("ShaderNodeTexImage")
+        node.image, node.interpolation, node.extension = image, "Linear", "EXTEND"
+        self.group.links.new(place, node.inputs["Vector"])
+        return node.outputs["Color"]
+
+    def vector(self, operation: str, a, b):
+        node = self.node("ShaderNodeVectorMath")
+        node.operation = operation
+        for socket, value in zip(node.inputs, (a, b), strict=False):
+            if isinstance(value, tuple):
+                socket.default_value = value
+            else:
+                self.group.links.new(value, socket)
+        return node.outputs[0]

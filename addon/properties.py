@@ -1,0 +1,108 @@
+"""The settings that users and scripts rely on: `scene.lightpanes`, `object.lightpanes`, `light.lightpanes`."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.props import BoolProperty, FloatProperty, IntProperty, PointerProperty
+
+
+def _cycles_changed(_settings, context):
+    from . import nodes, store
+
+    if store.find_entries(context.scene) is not None:
+        nodes.show_in_cycles(context.scene)
+
+
+def _live_changed(settings, context):
+    if settings.live:
+        from . import relight
+
+        relight.update(context.scene, context.evaluated_depsgraph_get())
+
+
+class SceneSettings(bpy.types.PropertyGroup):
+    error_target: FloatProperty(
+        name="Error",
+        description="Relative error of the indirect light to bake for: smaller is more exact and slower",
+        default=0.05,
+        min=0.002,
+        max=0.5,
+        precision=3,
+    )
+    time_budget: FloatProperty(
+        name="Time",
+        description="Seconds that a bake may take, 0 for no limit. The error then is what the time allows",
+        default=0.0,
+        min=0.0,
+        soft_max=600.0,
+        unit="TIME_ABSOLUTE",
+    )
+    resolution: IntProperty(
+        name="Resolution",
+        description="Width and height of the atlas in pixels, shared by all baked objects",
+        default=256,
+        min=16,
+        max=4096,
+        subtype="PIXEL",
+    )
+    live: BoolProperty(
+        name="Live",
+        description="Let the indirect light follow the lamps at once when they move or change",
+        default=True,
+        update=_live_changed,
+    )
+    seed: IntProperty(name="Seed", description="The same seed gives the same bake", default=0, min=0, max=2**31 - 1)
+    cycles: BoolProperty(
+        name="Show in Cycles",
+        description="Cycles shows the baked indirect light too. While this is on, Cycles' own diffuse bounces are set "
+        "to 0, so that no light counts twice",
+        default=False,
+        update=_cycles_changed,
+    )
+    # Cycles' diffuse bounces before `cycles` set them to 0; -1 while it has not.
+    diffuse_bounces: IntProperty(default=-1, options={"HIDDEN"})
+    # The bake that belongs to the scene: changing this one pointer is the swap from the old bake to the new.
+    entries: PointerProperty(type=bpy.types.Object, options={"HIDDEN"})
+
+
+class ObjectSettings(bpy.types.PropertyGroup):
+    exclude: BoolProperty(
+        name="Exclude",
+        description="Keep this object out of the atlas: it gets no baked light, but still blocks and reflects it",
+        default=False,
+    )
+    weight: FloatProperty(
+        name="Weight",
+        description="Texels that this object gets in the atlas, relative to its area; 2 doubles their density",
+        default=1.0,
+        min=0.01,
+        soft_max=10.0,
+        max=100.0,
+    )
+
+
+class LightSettings(bpy.types.PropertyGroup):
+    live: BoolProperty(
+        name="Live",
+        description="Follow this lamp at once. Off: its light stays as it was until Relight is pressed",
+        default=True,
+    )
+
+
+CLASSES = (SceneSettings, ObjectSettings, LightSettings)
+
+
+def register() -> None:
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.Scene.lightpanes = PointerProperty(type=SceneSettings)
+    bpy.types.Object.lightpanes = PointerProperty(type=ObjectSettings)
+    bpy.types.Light.lightpanes = PointerProperty(type=LightSettings)
+
+
+def unregister() -> None:
+    del bpy.types.Light.lightpanes
+    del bpy.types.Object.lightpanes
+    del bpy.types.Scene.lightpanes
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

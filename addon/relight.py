@@ -1,0 +1,279 @@
+"""Lets the baked light follow the lamps: notices what changed, recomputes the irradiance, writes the image.
+
+Everything needed is in the .blend: the bake (addon/store.py) and the meshes, for shadow rays. What is worked out
+from them is kept in a session per scene and made anew when it is missing, so a reopened file relights by itself.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+import time
+from dataclasses import dataclass, field
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ..core.panes import Relighter
+from ..core.rays import Tracer
+from ..core.scene import Light, SceneError
+from . import extract, lamps, store
+
+
+@dataclass
+class Session:
+    """What is known about one scene while Blender runs. Nothing here outlives the process."""
+
+    key: str
+    relighter: Relighter | None = None
+    shown: str = ""  # key of the lamps that the image shows
+    held: dict[str, Light] = field(default_factory=dict)  # lamps that are not live, as they were last
+    stale: tuple[str, ...] = ()
+    milliseconds: float = 0.0
+    error: str = ""
+
+
+# On `Lightpanes Irradiance`: key of the lamps that its packed pixels show, so that opening a file costs nothing.
+PACKED = "lightpanes_lamps"
+# Seconds after the last edit of a mesh at which the bake is checked against it.
+STALE_DELAY = 0.5
+
+_sessions: dict[int, Session] = {}
+# Renders run frame changes outside the main thread; a relighter has one set of buffers.
+_lock = threading.Lock()
+
+
+def session(scene: bpy.types.Scene) -> Session | None:
+    """The scene's session, None without a bake. Another bake starts another session."""
+    key = store.bake_key(scene)
+    if key is None:
+        _sessions.pop(scene.session_uid, None)
+        return None
+    found = _sessions.get(scene.session_uid)
+    if found is None or found.key != key:
+        image = store.find_image(scene, store.IRRADIANCE)
+        packed = image is not None and not image.is_dirty and image.get(PACKED)
+        found = _sessions[scene.session_uid] = Session(key, shown=packed or "")
+    return found
+
+
+def forget(scene: bpy.types.Scene) -> None:
+    _sessions.pop(scene.session_uid, None)
+
+
+def adopt(scene: bpy.types.Scene, relighter: Relighter) -> None:
+    """Use this relighter, just made by a bake, instead of making one from the .blend."""
+    _sessions[scene.session_uid] = Session(store.bake_key(scene), relighter)
+
+
+def relight(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph | None = None) -> float:
+    """Bring the scene's `Lightpanes Irradiance` up to date with its lamps; returns milliseconds.
+
+    All lamps are read anew, those that are not live included. Raises SceneError when there is no bake or when it
+    can't be used.
+    """
+    scene = context.scene
+    with _lock:
+        current = session(scene)
+        if current is None:
+            raise SceneError(f"Scene '{scene.name}' has no bake; press Bake first.")
+        current.held.clear()
+        _apply(context, scene, current, _read_lights(depsgraph or context.evaluated_depsgraph_get(), current))
+    check_stale(context)
+    return current.milliseconds
+
+
+def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Relight if a lamp differs from what the image shows; True when it did.
+
+    For handlers: what the user must know goes to the console and into the session, for the panel, once.
+    """
+    if not scene.lightpanes.live or not _lock.acquire(blocking=False):
+        return False
+    try:
+        current = session(scene)
+        if current is None:
+            return False
+        lights = _read_lights(depsgraph, current)
+        key = _key(lights)
+        if key == current.shown:
+            return False
+        try:
+            _apply(bpy.context, scene, current, lights)
+        except SceneError as error:
+            current.shown = key  # the same lamps would fail the same way
+            if current.error != str(error):
+                current.error = str(error)
+                print(f"Lightpanes: {error}")
+            return False
+        return True
+    finally:
+        _lock.release()
+
+
+def check_stale(context: bpy.types.Context) -> tuple[str, ...]:
+    """Sentences that name the objects which changed since the bake; empty while it is valid."""
+    scene = context.scene
+    current, meta = session(scene), store.read_meta(scene)
+    if current is None or meta is None or "fingerprint" not in meta:
+        return ()
+    current.stale = differences(meta["fingerprint"], extract.fingerprint(context))
+    return current.stale
+
+
+def differences(before: dict[str, str], now: dict[str, str]) -> tuple[str, ...]:
+    """What to tell the user about objects that were added, deleted or edited; fingerprints by object name."""
+    gone = [f"'{name}' was deleted or hidden" for name in before if name not in now]
+    new = [f"'{name}' was added" for name in now if name not in before]
+    edited = [f"'{name}' was moved or edited" for name in before if name in now and now[name] != before[name]]
+    return tuple(f"{what} since the bake; bake again." for what in gone + edited + new)
+
+
+def _read_lights(depsgraph, current: Session) -> tuple[Light, ...]:
+    lights = []
+    for light in lamps.read_lights(depsgraph, []):
+        source = depsgraph.scene.objects.get(light.name)
+        held = source is not None and source.type == "LIGHT" and not source.data.lightpanes.live
+        lights.append(current.held.setdefault(light.name, light) if held else light)
+    return tuple(lights)
+
+
+def _key(lights) -> str:
+    digest = hashlib.blake2b(digest_size=12)
+    for light in lights:
+        digest.update(repr((light.name, light.geometry, light.power.tobytes())).encode())
+    return digest.hexdigest()
+
+
+def _apply(context, scene, current: Session, lights):
+    relighter = _relighter(context, scene, current)
+    begin = time.perf_counter()
+    store.write_irradiance(scene, relighter.relight(lights))
+    current.milliseconds = 1000 * (time.perf_counter() - begin)
+    current.shown = _key(lights)
+    current.error = ""
+
+
+def _relighter(context, scene, current: Session) -> Relighter:
+    if current.relighter is None:
+        bake = store.load_bake(scene)
+        geometry = extract.extract(context, resolution=bake.resolution, albedo=False)
+        current.relighter = Relighter(bake, Tracer(geometry))
+    return current.relighter
+
+
+@persistent
+def _on_update(scene, depsgraph):
+    if store.bake_key(scene) is None:
+        return
+    edited = any(
+        isinstance(change.id, bpy.types.Object)
+        and change.id.type != "LIGHT"
+        and (change.is_updated_geometry or change.is_updated_transform)
+        for change in depsgraph.updates
+    )
+    if bpy.app.background:
+        update(scene, depsgraph)
+        return
+    # One relight for all that happens before Blender is idle again.
+    if not bpy.app.timers.is_registered(_update_later):
+        bpy.app.timers.register(_update_later, first_interval=0.0)
+    if edited:
+        if bpy.app.timers.is_registered(_stale_later):
+            bpy.app.timers.unregister(_stale_later)
+        bpy.app.timers.register(_stale_later, first_interval=STALE_DELAY)
+
+
+def _update_later():
+    if bpy.app.is_job_running("RENDER"):
+        return  # the render's own frame changes relight
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    update(depsgraph.scene.original, depsgraph)
+    _redraw_panel()
+
+
+def _stale_later():
+    if not bpy.app.is_job_running("RENDER"):
+        check_stale(bpy.context)
+        _redraw_panel()
+
+
+def _redraw_panel():
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "PROPERTIES":
+                area.tag_redraw()
+
+
+@persistent
+def _on_frame(scene, depsgraph):
+    update(scene, depsgraph)
+
+
+@persistent
+def _on_render(scene, *_):
+    """Reading meshes belongs in the main thread: be ready before the render's thread asks for light."""
+    current = session(scene)
+    if current is None or not scene.lightpanes.live or scene != bpy.context.scene:
+        return
+    with _lock:
+        try:
+            _relighter(bpy.context, scene, current)
+        except SceneError as error:
+            current.error = str(error)
+            print(f"Lightpanes: {error}")
+
+
+@persistent
+def _on_undo(scene, *_):
+    """Undo brings back an image's packed pixels or keeps its last ones: neither need be what the lamps now ask for."""
+    for current in _sessions.values():
+        current.shown = ""
+        current.error = ""
+    update(scene, bpy.context.evaluated_depsgraph_get())
+
+
+@persistent
+def _on_load(*_):
+    _sessions.clear()
+
+
+@persistent
+def _on_save(*_):
+    pack()
+
+
+def pack() -> None:
+    """Pack the images that changed, so that they are saved, and note which lamps they show."""
+    for scene in bpy.data.scenes:
+        current, image = session(scene), store.find_image(scene, store.IRRADIANCE)
+        if current is not None and image is not None and image.is_dirty:
+            image[PACKED] = current.shown
+    store.pack_dirty()
+
+
+HANDLERS = {
+    "depsgraph_update_post": _on_update,
+    "frame_change_post": _on_frame,
+    "render_init": _on_render,
+    "undo_post": _on_undo,
+    "redo_post": _on_undo,
+    "load_post": _on_load,
+    "save_pre": _on_save,
+}
+
+
+def register() -> None:
+    for event, handler in HANDLERS.items():
+        getattr(bpy.app.handlers, event).append(handler)
+
+
+def unregister() -> None:
+    for event, handler in HANDLERS.items():
+        handlers = getattr(bpy.app.handlers, event)
+        if handler in handlers:
+            handlers.remove(handler)
+    for timer in (_update_later, _stale_later):
+        if bpy.app.timers.is_registered(timer):
+            bpy.app.timers.unregister(timer)
+    _sessions.clear()

@@ -1,0 +1,336 @@
+"""Where a bake lives in a .blend, and how it is read back.
+
+A bake is one mesh object, `Lightpanes Entries`: its vertices are the entries' positions, its attributes the other
+arrays of `bake.entries`, and custom properties of its mesh name the images and hold `bake.meta` as JSON. The scene
+points to that object. So everything is found by pointers (renaming is safe, each scene has its own), and a bake
+becomes valid by setting one pointer after all of it has been built.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+
+import bpy
+import numpy as np
+
+from ..core.bake import Bake
+from ..core.scene import SceneError
+
+COLLECTION = "Lightpanes"
+ENTRIES = "Lightpanes Entries"
+IRRADIANCE = "Lightpanes Irradiance"
+DIRECT = "Lightpanes Direct"
+ALBEDO = "Lightpanes Albedo"
+
+# Custom properties. TAG marks every data-block that is ours to delete; it holds the data-block's role. It is not
+# named "lightpanes", which on objects is the PropertyGroup.
+TAG = "lightpanes_role"
+IMAGES = "lightpanes_images"
+META = "lightpanes_meta"
+LAYOUT = "lightpanes_layout"
+SHAPE = "lightpanes_shape"
+
+FORMAT = 1
+_ATTRIBUTE_TYPES = {(): "FLOAT", (2,): "FLOAT2", (3,): "FLOAT_VECTOR", (4,): "FLOAT_COLOR"}
+_ATTRIBUTE_FIELDS = {
+    "FLOAT": "value",
+    "INT": "value",
+    "FLOAT2": "vector",
+    "FLOAT_VECTOR": "vector",
+    "FLOAT_COLOR": "color",
+}
+_FLAT_WIDTH = 1024
+
+
+def store_bake(scene: bpy.types.Scene, bake: Bake, albedo: np.ndarray | None = None) -> bpy.types.Object:
+    """Make `bake` the scene's bake, in place of the one it has.
+
+    albedo: (H, W, 3) float, diffuse reflectance over the atlas, or None.
+    Everything new is built before anything old is touched; if building fails, the new parts are removed again, the
+    old bake stays and the exception goes on.
+    """
+    made: list[bpy.types.ID] = []
+    try:
+        images = {role: _write_array(role, array, made) for role, array in bake.images.items()}
+        size = (bake.resolution, bake.resolution)
+        images[IRRADIANCE] = _write_pixels(IRRADIANCE, _opaque(np.zeros((*size, 3), np.float32)), made)
+        if bake.direct is not None:
+            images[DIRECT] = _write_pixels(DIRECT, _opaque(bake.direct), made)
+        if albedo is not None:
+            images[ALBEDO] = _write_pixels(ALBEDO, _opaque(albedo), made)
+        entries = _write_entries(bake, images, made)
+        collection = _collection(scene)
+    except BaseException:
+        _remove(made)
+        raise
+    old = scene.lightpanes.entries
+    collection.objects.link(entries)
+    scene.lightpanes.entries = entries
+    if old is not None:
+        _remove_bake(old)
+    for role, image in images.items():
+        image.name = role
+    entries.name = entries.data.name = ENTRIES
+    return entries
+
+
+def load_bake(scene: bpy.types.Scene) -> Bake | None:
+    """The scene's bake, exactly as it was stored, or None where the scene has none.
+
+    Raises SceneError when parts of it are missing or damaged.
+    """
+    entries = find_entries(scene)
+    if entries is None:
+        return None
+    mesh = entries.data
+    try:
+        layout, meta = json.loads(mesh[LAYOUT]), json.loads(mesh[META])
+        arrays = {name: _read_attribute(mesh, name, *spec) for name, spec in layout["entries"].items()}
+        stored = mesh[IMAGES]
+        images = {role: _read_array(stored[role], role) for role in layout["images"]}
+        direct = _read_array(stored[DIRECT], DIRECT)[..., :3].copy() if layout["direct"] else None
+        resolution = int(layout["resolution"])
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise SceneError(f"The bake in scene '{scene.name}' is damaged ({error}); bake again.") from error
+    return Bake(resolution=resolution, images=images, entries=arrays, direct=direct, meta=meta)
+
+
+def find_entries(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """The object that holds the scene's bake, whatever it is named now."""
+    entries = scene.lightpanes.entries
+    if entries is None or entries.type != "MESH" or LAYOUT not in entries.data:
+        return None
+    return entries
+
+
+def find_image(scene: bpy.types.Scene, role: str) -> bpy.types.Image | None:
+    """The image of the scene's bake that has this role (its default name), whatever it is named now."""
+    entries = find_entries(scene)
+    images = entries.data.get(IMAGES) if entries is not None else None
+    return images.get(role) if images is not None else None
+
+
+def read_meta(scene: bpy.types.Scene) -> dict | None:
+    """`bake.meta` without reading the rest; None without a bake."""
+    entries = find_entries(scene)
+    if entries is None:
+        return None
+    try:
+        return json.loads(entries.data[META])
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def write_meta(scene: bpy.types.Scene, meta: dict) -> None:
+    """Replace `bake.meta` of the scene's bake."""
+    find_entries(scene).data[META] = json.dumps(meta)
+
+
+def bake_key(scene: bpy.types.Scene) -> str | None:
+    """Names the scene's bake: another bake, another key."""
+    entries = find_entries(scene)
+    return None if entries is None else str(entries.data.get("lightpanes_key", ""))
+
+
+def write_irradiance(scene: bpy.types.Scene, pixels: np.ndarray) -> None:
+    """Show `pixels`, (H, W, 4) float32, in the scene's `Lightpanes Irradiance`."""
+    image = find_image(scene, IRRADIANCE)
+    if image is None:
+        raise SceneError(f"The image '{IRRADIANCE}' has been deleted; bake again.")
+    height, width = pixels.shape[:2]
+    if tuple(image.size) != (width, height):
+        image.scale(width, height)
+    image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).reshape(-1))
+    image.update()
+    # Cycles keeps its copy of an image until told; EEVEE needs no telling, and a tag costs an update.
+    if scene.render.engine == "CYCLES":
+        image.update_tag()
+
+
+def pack_dirty() -> None:
+    """Pack our images that changed since they were packed; unpacked pixels would be lost on saving."""
+    for image in bpy.data.images:
+        if TAG in image and image.is_dirty:
+            image.pack()
+
+
+def clear(scene: bpy.types.Scene) -> bool:
+    """Delete the scene's bake and nothing else; True when there was one."""
+    entries = scene.lightpanes.entries
+    if entries is None:
+        return False
+    scene.lightpanes.entries = None
+    _remove_bake(entries)
+    for collection in list(scene.collection.children):
+        if TAG in collection and not collection.all_objects:
+            scene.collection.children.unlink(collection)
+            if not collection.users:
+                bpy.data.collections.remove(collection)
+    return True
+
+
+def _opaque(rgb: np.ndarray) -> np.ndarray:
+    return np.concatenate([rgb[..., :3].astype(np.float32), np.ones((*rgb.shape[:2], 1), np.float32)], axis=2)
+
+
+def _write_array(role: str, array: np.ndarray, made: list) -> bpy.types.Image:
+    """Any float32 array as an image; (H, W, 4) is a picture as it is, others are laid out row by row."""
+    array = np.ascontiguousarray(array, np.float32)
+    if array.ndim == 3 and array.shape[2] == 4 and array.size and max(array.shape) <= 16384:
+        return _write_pixels(role, array, made)
+    rows = max(1, -(-array.size // (4 * _FLAT_WIDTH)))
+    flat = np.zeros(rows * _FLAT_WIDTH * 4, np.float32)
+    flat[: array.size] = array.reshape(-1)
+    return _write_pixels(role, flat.reshape(rows, _FLAT_WIDTH, 4), made, shape=array.shape)
+
+
+def _write_pixels(role: str, pixels: np.ndarray, made: list, shape: tuple | None = None) -> bpy.types.Image:
+    height, width = pixels.shape[:2]
+    image = bpy.data.images.new(role, width, height, alpha=True, float_buffer=True, is_data=True)
+    made.append(image)
+    image.alpha_mode = "CHANNEL_PACKED"  # no multiplying by alpha on the way
+    image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).reshape(-1))
+    image.update()
+    image.pack()
+    image[TAG] = role
+    image[SHAPE] = json.dumps(list(pixels.shape if shape is None else shape))
+    return image
+
+
+def _read_array(image: bpy.types.Image, role: str) -> np.ndarray:
+    if image is None:
+        raise ValueError(f"the image '{role}' has been deleted")
+    if not image.has_data:
+        image.pixels[0]  # reads the packed file
+    shape = tuple(json.loads(image[SHAPE]))
+    flat = np.empty(len(image.pixels), np.float32)
+    size = int(np.prod(shape))
+    if not image.is_float or flat.size < size:
+        raise ValueError(f"the image '{image.name}' has been replaced or scaled")
+    image.pixels.foreach_get(flat)
+    return flat[:size].reshape(shape)
+
+
+def _write_entries(bake: Bake, images: dict, made: list) -> bpy.types.Object:
+    mesh = bpy.data.meshes.new(ENTRIES)
+    made.append(mesh)
+    mesh.vertices.add(len(bake.entries["position"]))
+    specs = {name: _write_attribute(mesh, name, array) for name, array in bake.entries.items()}
+    layout = {
+        "format": FORMAT,
+        "resolution": int(bake.resolution),
+        "images": list(bake.images),
+        "direct": bake.direct is not None,
+        "entries": specs,
+    }
+    mesh[LAYOUT] = json.dumps(layout)
+    mesh[META] = json.dumps(bake.meta)
+    mesh[IMAGES] = images
+    mesh["lightpanes_key"] = _key(bake)
+    mesh[TAG] = ENTRIES
+    mesh.update()
+    entries = bpy.data.objects.new(ENTRIES, mesh)
+    made.append(entries)
+    entries[TAG] = ENTRIES
+    entries.hide_render = entries.hide_viewport = True
+    entries.hide_select = True
+    return entries
+
+
+def _key(bake: Bake) -> str:
+    import hashlib
+
+    digest = hashlib.blake2b(digest_size=12)
+    for arrays in (bake.images, bake.entries):
+        for name, array in arrays.items():
+            digest.update(name.encode())
+            digest.update(np.ascontiguousarray(array).data)
+    return digest.hexdigest()
+
+
+def _write_attribute(mesh: bpy.types.Mesh, name: str, array: np.ndarray) -> list:
+    """[dtype, shape] of what was written, from which `_read_attribute` restores the array exactly."""
+    array = np.asarray(array)
+    count = len(mesh.vertices)
+    if len(array) != count:
+        raise SceneError(f"The bake's '{name}' has {len(array)} rows for {count} entries.")
+    if array.dtype.kind in "iub" and np.array_equal(array, array.astype(np.int32)):
+        columns, kind = array.astype(np.int32), "INT"
+    elif array.dtype.kind == "f" and array.dtype.itemsize <= 4:
+        columns, kind = array.astype(np.float32), None
+    else:
+        raise SceneError(f"The bake's '{name}' is {array.dtype}; 32-bit floats and integers can be stored.")
+    trailing = array.shape[1:]
+    if kind is None and trailing in _ATTRIBUTE_TYPES:
+        if name == "position" and trailing == (3,):
+            mesh.attributes["position"].data.foreach_set("vector", columns.reshape(-1))
+        else:
+            _fill(mesh, name, _ATTRIBUTE_TYPES[trailing], columns)
+    elif trailing == ():
+        _fill(mesh, name, kind, columns)
+    else:
+        for k, column in enumerate(columns.reshape(count, -1).T):
+            _fill(mesh, f"{name}.{k}", kind or "FLOAT", column)
+    return [array.dtype.str, list(array.shape)]
+
+
+def _fill(mesh, name, kind, values):
+    attribute = mesh.attributes.new(name, kind, "POINT")
+    if attribute.name != name:
+        raise SceneError(f"The bake's '{name}' has a name that Blender keeps for itself.")
+    attribute.data.foreach_set(_ATTRIBUTE_FIELDS[kind], np.ascontiguousarray(values).reshape(-1))
+
+
+def _read_attribute(mesh: bpy.types.Mesh, name: str, dtype: str, shape: list) -> np.ndarray:
+    if name in mesh.attributes:
+        return _read_data(mesh.attributes[name], shape).astype(dtype).reshape(shape)
+    width = int(np.prod(shape[1:]))
+    columns = [_read_data(mesh.attributes[f"{name}.{k}"], shape[:1]) for k in range(width)]
+    empty = np.empty((shape[0], 0), dtype)
+    return (np.stack(columns, axis=1) if columns else empty).astype(dtype).reshape(shape)
+
+
+def _read_data(attribute, shape) -> np.ndarray:
+    if len(attribute.data) != shape[0]:
+        raise ValueError(f"{attribute.name} has {len(attribute.data)} values for {shape[0]} entries")
+    values = np.empty(int(np.prod(shape)), np.int32 if attribute.data_type == "INT" else np.float32)
+    attribute.data.foreach_get(_ATTRIBUTE_FIELDS[attribute.data_type], values)
+    return values
+
+
+def _collection(scene: bpy.types.Scene) -> bpy.types.Collection:
+    """The scene's hidden collection; made on first use."""
+    for collection in scene.collection.children:
+        if collection.get(TAG) == COLLECTION:
+            return collection
+    collection = bpy.data.collections.new(COLLECTION)
+    collection[TAG] = COLLECTION
+    collection.hide_render = collection.hide_viewport = True
+    scene.collection.children.link(collection)
+    for layer in scene.view_layers:
+        child = layer.layer_collection.children.get(collection.name)
+        if child is not None:
+            child.exclude = True
+    return collection
+
+
+def _remove_bake(entries: bpy.types.Object) -> None:
+    """Delete a bake's object, mesh and images, unless another scene uses them (a scene copied with its bake)."""
+    if any(scene.lightpanes.entries == entries for scene in bpy.data.scenes):
+        return
+    mesh = entries.data if entries.type == "MESH" else None
+    images = list(dict(mesh.get(IMAGES, {})).values()) if mesh is not None else []
+    others = {
+        image
+        for other in bpy.data.meshes
+        if other != mesh and IMAGES in other
+        for image in dict(other[IMAGES]).values()
+    }
+    doomed = [image for image in images if image is not None and TAG in image and image not in others]
+    _remove([entries, *([mesh] if mesh is not None and mesh.users <= 1 and TAG in mesh else []), *doomed])
+
+
+def _remove(ids: list) -> None:
+    with contextlib.suppress(ReferenceError):  # deleting an object may take its data along
+        bpy.data.batch_remove(ids)
