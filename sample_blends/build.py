@@ -105,7 +105,7 @@ def pillars() -> None:
     walls.build("Walls", plaster)
     vault = Shape()
     vault.points = [Vector((x, y, z)) for y in (-4, 4) for x, z in arc]
-    vault.faces = [(k, k + 17, k + 18, k + 1) for k in range(16)]
+    vault.faces = [(k, k + 1, k + 18, k + 17) for k in range(16)]
     vault.slots = [0] * 16
     vault.build("Vault", marble, smooth=True)
 

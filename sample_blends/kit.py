@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import shutil
-import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -215,6 +213,7 @@ def start(sky: Point = (0, 0, 0), strength: float = 1.0, exposure: float = 0.0) 
     bpy.context.preferences.filepaths.save_version = 0
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
+    scene.render.filepath = "//"
     scene.cycles.device = "CPU"
     scene.cycles.samples = 256
     scene.cycles.use_denoising = False
@@ -232,9 +231,6 @@ def start(sky: Point = (0, 0, 0), strength: float = 1.0, exposure: float = 0.0) 
 
 
 def save(path: Path) -> None:
-    """Write the file compressed. A .blend records its own path, so it is written to a neutral one and moved."""
+    """Write the file, compressed, at its first frame."""
     bpy.context.scene.frame_set(1)
-    folder = Path(tempfile.gettempdir()) / "lightpanes_samples"
-    folder.mkdir(exist_ok=True)
-    bpy.ops.wm.save_as_mainfile(filepath=str(folder / path.name), compress=True, check_existing=False)
-    shutil.move(folder / path.name, path)
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), compress=True, check_existing=False)
