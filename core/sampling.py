@@ -159,3 +159,11 @@ def uniform_triangle_pdf(weights: np.ndarray) -> np.ndarray:
     """(n,) density of `uniform_triangle` over the barycentric plane; divide by twice the area for 1/m²."""
     inside = (weights >= 0).all(axis=1) & (weights.sum(axis=1) <= 1)
     return np.where(inside, np.float32(2), np.float32(0))
+
+
+def spiral(count: int) -> np.ndarray:
+    """(count, 3) float32 unit directions spread evenly over the sphere (a golden spiral)."""
+    z = 1 - (2 * np.arange(count) + 1) / count
+    angle = np.arange(count) * np.pi * (3 - np.sqrt(5))
+    ring = np.sqrt(1 - z * z)
+    return np.stack([ring * np.cos(angle), ring * np.sin(angle), z], 1).astype(np.float32)

@@ -1,0 +1,158 @@
+"""A bake as named arrays: what a .blend or a file holds, and the panes rebuilt from it."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import zipfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ..panes import Panes
+from ..panes.weights import PaneWeights
+
+FORMAT = 1
+
+
+class BakeError(ValueError):
+    """A bake cannot be read; the message says why and what to do."""
+
+
+@dataclass
+class Bake:
+    """images: float32 arrays by the name of their Blender image: "Lightpanes Panes" (k, H, W), the PRM atlas;
+    "Lightpanes Interpolation" (2, H, W): the row-major number of the texel that each texel shows plus one,
+    and the region of each exit plus one, 0 for none; "Lightpanes Weights" (flat), the operators of
+    PaneWeights one after another; "Lightpanes Static" (H, W, 3), irradiance that no lamp changes.
+    entries: arrays over n × each places on the entries: position, normal, albedo (3 float32), size (float32, m).
+    direct: (H, W, 3) float32 irradiance of the sky's and emissive faces' first hit, or None.
+    meta: JSON-able; "report" is for the user.
+    """
+
+    resolution: int
+    images: dict[str, np.ndarray]
+    entries: dict[str, np.ndarray]
+    direct: np.ndarray | None = None
+    meta: dict = field(default_factory=dict)
+
+    @property
+    def report(self) -> dict:
+        """Figures for the user: error and its parts, seconds by stage, counts, bytes, warnings."""
+        return self.meta.get("report", {})
+
+    @classmethod
+    def from_panes(cls, panes: Panes, texel: np.ndarray, direct: np.ndarray | None, meta: dict) -> Bake:
+        """Name the arrays. texel: (t,) int32 place in the atlas of each of the panes' rows."""
+        size = panes.resolution
+        k = panes.rows.shape[1]
+        atlas = np.zeros((k, size * size), np.float32)
+        atlas[:, texel] = panes.rows.T
+        table = np.zeros((2, size * size), np.float32)
+        table[0] = np.where(panes.fill >= 0, np.append(texel, -1)[panes.fill] + 1, 0)
+        lengths = np.diff(panes.starts)
+        table[1, texel] = np.repeat(np.arange(len(lengths)), lengths) + 1
+        steady = np.zeros((size * size, 3), np.float32)
+        steady[texel] = panes.steady
+        weights = panes.weights
+        parts = (weights.first, weights.spread, weights.later)
+        each = len(panes.position) // max(len(panes.albedo), 1)
+        entries = {
+            "position": panes.position,
+            "normal": panes.normal,
+            "albedo": np.repeat(panes.albedo, each, axis=0),
+            "size": np.repeat(panes.size, each),
+        }
+        images = {
+            "Lightpanes Panes": atlas.reshape(k, size, size),
+            "Lightpanes Interpolation": table.reshape(2, size, size),
+            "Lightpanes Weights": np.concatenate([p.reshape(-1) for p in parts]),
+            "Lightpanes Static": steady.reshape(size, size, 3),
+        }
+        meta = {**meta, "format": FORMAT, "resolution": size, "regions": len(lengths), "each": each,
+                "shapes": [list(p.shape) for p in parts]}  # fmt: skip
+        return cls(size, images, entries, direct, meta)
+
+    def panes(self) -> Panes:
+        """Rebuild what relighting reads. Raises BakeError where the arrays do not fit together."""
+        try:
+            return self._panes()
+        except (KeyError, ValueError, IndexError, TypeError) as error:
+            raise BakeError(f"The bake is incomplete ({error}); bake again.") from error
+
+    def _panes(self):
+        meta, size = self.meta, self.resolution
+        atlas = self.images["Lightpanes Panes"].reshape(-1, size * size)
+        table = self.images["Lightpanes Interpolation"].reshape(2, size * size)
+        # float32 holds integers exactly up to 2^24, the texels of a 4096² atlas
+        region = np.rint(table[1]).astype(np.int32) - 1
+        texel = np.flatnonzero(region >= 0)
+        texel = texel[np.argsort(region[texel], kind="stable")]
+        starts = np.concatenate([[0], np.cumsum(np.bincount(region[texel], minlength=int(meta["regions"])))])
+        row = np.full(size * size + 1, -1, np.int32)
+        row[texel] = np.arange(len(texel), dtype=np.int32)
+        flat = np.ascontiguousarray(self.images["Lightpanes Weights"], np.float32).reshape(-1)
+        parts, at = [], 0
+        for shape in meta["shapes"]:
+            length = int(np.prod(shape))
+            parts.append(flat[at : at + length].reshape(shape))
+            at += length
+        each = int(meta["each"])
+        return Panes(
+            rows=np.ascontiguousarray(atlas[:, texel].T),
+            starts=starts,
+            steady=self.images["Lightpanes Static"].reshape(-1, 3)[texel],
+            fill=row[np.rint(table[0]).astype(np.int32) - 1],
+            resolution=size,
+            position=self.entries["position"],
+            normal=self.entries["normal"],
+            albedo=np.ascontiguousarray(self.entries["albedo"][::each]),
+            size=np.ascontiguousarray(self.entries["size"][::each]),
+            weights=PaneWeights(*parts),
+        )
+
+    @property
+    def bytes(self) -> int:
+        """Bytes of all stored arrays."""
+        arrays = [*self.images.values(), *self.entries.values()]
+        return sum(a.nbytes for a in arrays) + (0 if self.direct is None else self.direct.nbytes)
+
+    def save(self, path: str | os.PathLike) -> None:
+        """Write an .npz (arrays and JSON only). Written beside `path` first, then put in its place."""
+        path = Path(path)
+        arrays = {f"image:{k}": v for k, v in self.images.items()} | {f"entry:{k}": v for k, v in self.entries.items()}
+        if self.direct is not None:
+            arrays["direct"] = self.direct
+        arrays["meta"] = np.frombuffer(json.dumps(self.meta).encode(), np.uint8)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                np.savez(file, **arrays)
+            os.replace(temporary, path)
+        except BaseException:
+            os.unlink(temporary)
+            raise
+
+    @classmethod
+    def load(cls, path: str | os.PathLike) -> Bake:
+        """Read what `save` wrote. Raises BakeError for files that are truncated, foreign or of another version."""
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                arrays = {name: data[name] for name in data.files}
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
+            if isinstance(error, OSError) and not Path(path).exists():
+                raise BakeError(f"There is no bake file {path}.") from error
+            raise BakeError(f"{path} is not a bake of Lightpanes, or it is cut off; bake again. ({error})") from error
+        try:
+            meta = json.loads(bytes(arrays["meta"]))
+            version = meta["format"]
+        except (KeyError, ValueError, TypeError) as error:
+            raise BakeError(f"{path} is not a bake of Lightpanes; bake again.") from error
+        if version != FORMAT:
+            raise BakeError(f"{path} was baked by another version of Lightpanes (format {version}); bake again.")
+        pick = lambda prefix: {k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)}  # noqa: E731
+        result = cls(meta["resolution"], pick("image:"), pick("entry:"), arrays.get("direct"), meta)
+        result.panes()
+        return result

@@ -1,0 +1,77 @@
+"""Eigenpanes: per region the few leading modes of the indirect fields that lamps can make.
+
+After clustered principal components for precomputed transfer (Sloan et al. 2003), learnt at the
+entries, which sample the whole surface, and extended to the exits by P = W Φ, where Φ are the
+radiosities that make the modes (Nyström).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..transfer import Entries, Transport
+
+FLOOR = 1e-5
+"""Singular values below this part of a region's largest are noise, not light."""
+
+
+@dataclass(frozen=True)
+class Modes:
+    """The panes' modes as seen from the entries; modes of region r are columns r·k … r·k + k − 1.
+
+    region: (n,) int32 of each entry. panes: k, modes a region. regions: their number.
+    basis: (n, k) float32, each entry's row of its own region's orthonormal modes, √area-weighted.
+    makers: (n, regions × k) float32, the radiosities Φ whose gathered field is the mode.
+    """
+
+    region: np.ndarray
+    panes: int
+    regions: int
+    basis: np.ndarray
+    makers: np.ndarray
+
+
+def training_fields(entries: Entries, transport: Transport, direct: np.ndarray, bounces: int = 2) -> tuple[np.ndarray, np.ndarray]:
+    """Radiosities X (n, s) under each lamp and the indirect fields Y = F X (n, s), scaled to mean 1.
+
+    direct: (n, s) irradiance. Lamps take turns with red, green and blue albedo, since panes are shared by
+    all three. The series stops after `bounces`: the modes only need the fields' span.
+    """
+    albedo = entries.albedo[:, np.arange(direct.shape[1]) % 3]
+    source = albedo * direct
+    radiosity = source
+    for _ in range(bounces - 1):
+        radiosity = source + albedo * (transport.between @ radiosity)
+    field = transport.between @ radiosity
+    area = (entries.area / entries.area.sum()).astype(np.float32)
+    mean = area @ field
+    lit = mean > 1e-6 * mean.max(initial=0)
+    scale = np.float32(1) / mean[lit]
+    return radiosity[:, lit] * scale, field[:, lit] * scale
+
+
+def learn_modes(
+    entries: Entries, region: np.ndarray, radiosity: np.ndarray, field: np.ndarray, panes: int
+) -> Modes:
+    """The leading `panes` modes of each region's part of the fields (n, s)."""
+    regions = int(region.max()) + 1
+    root = np.sqrt(entries.area / entries.area.mean()).astype(np.float32)[:, None]
+    basis = np.zeros((len(region), panes), np.float32)
+    mixes = np.zeros((field.shape[1], regions * panes), np.float32)
+    order = np.argsort(region, kind="stable")
+    ends = np.cumsum(np.bincount(region, minlength=regions))
+    # one small eigenproblem a region: a loop over regions, not over entries
+    for r in range(regions):
+        rows = order[ends[r - 1] if r else 0 : ends[r]]
+        block = root[rows] * field[rows]
+        # float64: the Gram matrix squares the range of the singular values
+        values, vectors = np.linalg.eigh((block @ block.T).astype(np.float64))
+        keep = min(panes, len(rows))
+        values, vectors = values[::-1][:keep], vectors[:, ::-1][:, :keep]
+        good = values > FLOOR**2 * values[0]
+        values, vectors = values[good], vectors[:, good].astype(np.float32)
+        basis[rows[:, None], np.arange(len(values))] = vectors
+        mixes[:, r * panes : r * panes + len(values)] = block.T @ (vectors / values.astype(np.float32))
+    return Modes(region, panes, regions, basis, radiosity @ mixes)

@@ -1,0 +1,51 @@
+"""Split the surface into regions, each of which keeps its own few panes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+ROUNDS = 12
+NORMAL_WEIGHT = 0.5
+"""How far apart opposite normals count, in units of the scene's extent."""
+
+
+def features(position: np.ndarray, normal: np.ndarray, extent: float) -> np.ndarray:
+    """(n, 6) float32 coordinates in which near means similarly lit."""
+    return np.concatenate([position / np.float32(extent), normal * np.float32(0.5 * NORMAL_WEIGHT)], 1)
+
+
+def make_regions(points: np.ndarray, area: np.ndarray, count: int, seed: int = 0) -> np.ndarray:
+    """(n,) int32 region of each point, by k-means weighted by area; at most `count`, none empty.
+
+    points: (n, d) float32 features; area: (n,) weights. Seeds are spread by farthest-point picking.
+    """
+    count = min(count, len(points))
+    centre = _spread(points, count, seed)
+    for _ in range(ROUNDS):
+        region = nearest(points, centre)
+        weight = np.bincount(region, area, count)
+        sums = np.stack([np.bincount(region, area * points[:, k], count) for k in range(points.shape[1])], 1)
+        centre = np.where(weight[:, None] > 0, sums / np.maximum(weight, 1e-30)[:, None], centre).astype(np.float32)
+    used, region = np.unique(nearest(points, centre), return_inverse=True)
+    return region.reshape(-1).astype(np.int32)
+
+
+def nearest(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """(n,) index of the nearest of `centre` (m, d) to each of `points` (n, d)."""
+    result = np.empty(len(points), np.int64)
+    half = 0.5 * (centre**2).sum(axis=1)
+    for start in range(0, len(points), 65536):
+        piece = slice(start, start + 65536)
+        result[piece] = (half - points[piece] @ centre.T).argmin(axis=1)
+    return result
+
+
+def _spread(points, count, seed):
+    chosen = np.empty(count, np.int64)
+    chosen[0] = np.random.default_rng(seed).integers(len(points))
+    distance = np.full(len(points), np.inf, np.float32)
+    # one step a centre, each over all points: farthest-point picking is sequential
+    for k in range(1, count):
+        distance = np.minimum(distance, ((points - points[chosen[k - 1]]) ** 2).sum(axis=1))
+        chosen[k] = distance.argmax()
+    return points[chosen]

@@ -1,0 +1,161 @@
+"""The runtime: lamps → irradiance of the entries → weights → irradiance of the texels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..lights import irradiance
+from ..rays import Tracer
+from ..scene import Light
+from .weights import PaneWeights
+
+FEW = 4
+"""Places of an entry that see a lamp; all of them once the lamp is near."""
+
+CLOSE = 3.0
+"""A lamp is near an entry within this many times the entry's size."""
+
+BLOCK = 128
+"""Texels of one region that are blended by one matrix product."""
+
+
+@dataclass(frozen=True)
+class Panes:
+    """All that relighting reads.
+
+    rows: (t, k) float32 panes at the valid texels, sorted by region. starts: (regions + 1,) int.
+    steady: (t, 3) float32 irradiance that no lamp changes (bounces of the sky and of emissive faces), W/m².
+    fill: (resolution²,) int32 row that each texel of the atlas shows, −1 for none.
+    position, normal: (n × each, 3) float32 places on the entries, lifted off the surface, row-major.
+    albedo: (n, 3) float32. size: (n,) float32, √area of each entry, m. weights: see PaneWeights.
+    """
+
+    rows: np.ndarray
+    starts: np.ndarray
+    steady: np.ndarray
+    fill: np.ndarray
+    resolution: int
+    position: np.ndarray
+    normal: np.ndarray
+    albedo: np.ndarray
+    size: np.ndarray
+    weights: PaneWeights
+
+
+class Relighter:
+    """Relights a bake. Only lamps that changed are computed again.
+
+    panes: of a bake. tracer: shadow rays in the scene as it is now.
+    """
+
+    def __init__(self, panes: Panes, tracer: Tracer, seed: int = 0):
+        self.panes = panes
+        self.tracer = tracer
+        self.seed = seed
+        count = len(panes.albedo)
+        each = len(panes.position) // max(count, 1)
+        position = panes.position.reshape(count, each, 3)
+        normal = panes.normal.reshape(count, each, 3)
+        few = min(FEW, each)
+        # place-major: the first block is one place on every entry
+        self._few = tuple(np.ascontiguousarray(v[:, :few].swapaxes(0, 1)).reshape(-1, 3) for v in (position, normal))
+        self._all = (position, normal)
+        self._unit: dict[tuple, np.ndarray] = {}
+        self._weights: dict[tuple, np.ndarray] = {}
+        self._blocks, self._region, self._slot = _blocks(panes.rows, panes.starts)
+        # the last row is black, for texels that show nothing
+        self._show = np.append(self._slot, self._blocks.shape[0] * BLOCK)[panes.fill]
+        self._image = np.ones((panes.resolution, panes.resolution, 4), np.float32)
+        self._light = np.zeros((self._blocks.shape[0] * BLOCK + 1, 3), np.float32)
+        self._steady = np.zeros_like(self._light)
+        self._steady[self._slot] = panes.steady
+
+    def unit_irradiance(self, light: Light) -> np.ndarray:
+        """(n,) or (n, 3) float32 irradiance of the entries by `light` at unit power, shadows included."""
+        panes = self.panes
+        few = len(self._few[0]) // max(len(panes.albedo), 1)
+        found = irradiance(light, *self._few, self.tracer.visibility, 1, self.seed)
+        found = found.reshape(few, len(panes.albedo), *found.shape[1:]).mean(axis=0)
+        position, normal = self._all
+        if light.kind != "SUN" and position.shape[1] > few:
+            reach = light.radius + 0.5 * max(light.size) * (light.kind == "AREA")
+            apart = np.linalg.norm(position[:, 0] - light.position.astype(np.float32), axis=1)
+            near = np.flatnonzero(apart < CLOSE * panes.size + reach)
+            if len(near):
+                each = position.shape[1]
+                again = irradiance(
+                    light, position[near].reshape(-1, 3), normal[near].reshape(-1, 3), self.tracer.visibility, 1, self.seed
+                )
+                found[near] = again.reshape(len(near), each, *again.shape[1:]).mean(axis=1)
+        return found
+
+    def pane_weights(self, lights: Sequence[Light]) -> np.ndarray:
+        """(m, 3) float32 sum of all lamps' weights; lamps seen before in the same place cost nothing."""
+        unit, weights = {}, {}
+        for light in lights:
+            place = light.geometry
+            key = (place, light.power.tobytes())
+            if key in weights:
+                weights[key] = (weights[key][0], weights[key][1] + 1)
+                continue
+            if key in self._weights:
+                unit[place] = self._unit[place]
+                weights[key] = (self._weights[key], 1)
+                continue
+            if place not in unit:
+                unit[place] = self._unit.get(place)
+                if unit[place] is None:
+                    unit[place] = self.unit_irradiance(light)
+            direct = unit[place] if unit[place].ndim == 2 else unit[place][:, None]
+            reflected = self.panes.albedo * (direct * light.power.astype(np.float32))
+            weights[key] = (self.panes.weights.of(reflected), 1)
+        self._unit, self._weights = unit, {key: value for key, (value, _) in weights.items()}
+        total = np.zeros((len(self.panes.weights.first), 3), np.float32)
+        for value, times in weights.values():
+            total += value * np.float32(times)
+        return total
+
+    def combine(self, weights: np.ndarray) -> np.ndarray:
+        """Irradiance of all texels for pane weights (m, 3): each region blends its own panes.
+
+        Returns (blocks × BLOCK + 1, 3) float32 in block order, a buffer that the next call reuses.
+        """
+        own = weights.reshape(-1, self._blocks.shape[2], 3)[self._region]
+        np.matmul(self._blocks, own, out=self._light[:-1].reshape(len(self._blocks), BLOCK, 3))
+        return self._light
+
+    def texels(self, lights: Sequence[Light]) -> np.ndarray:
+        """(t, 3) float32 indirect irradiance of the panes' rows, W/m²."""
+        light = self.combine(self.pane_weights(lights)) + self._steady
+        return light[self._slot]
+
+    def relight(self, lights: Sequence[Light]) -> np.ndarray:
+        """(resolution, resolution, 4) float32 indirect irradiance, W/m², alpha 1; row 0 is v = 0.
+
+        The buffer is reused by the next call.
+        """
+        light = self.combine(self.pane_weights(lights))
+        light += self._steady
+        # noise of the gather can dip below nothing where there is no light
+        np.maximum(light, 0, out=light)
+        light[-1] = 0
+        self._image.reshape(-1, 4)[:, :3] = light.take(self._show, axis=0)
+        return self._image
+
+
+def _blocks(rows, starts):
+    """Panes cut into blocks of BLOCK rows of one region, so that one batched product blends them all.
+
+    Returns (blocks, BLOCK, k) float32, the region of each block, and each row's place among the blocks.
+    """
+    lengths = np.diff(starts)
+    counts = -(-lengths // BLOCK)
+    region = np.repeat(np.arange(len(lengths)), counts)
+    first = (np.cumsum(counts) - counts) * BLOCK
+    slot = np.arange(len(rows)) + np.repeat(first - starts[:-1], lengths)
+    blocks = np.zeros((len(region) * BLOCK, rows.shape[1]), np.float32)
+    blocks[slot] = rows
+    return blocks.reshape(len(region), BLOCK, rows.shape[1]), region, slot

@@ -1,0 +1,126 @@
+"""Virtual lamps that teach the panes what lamps can do to a scene.
+
+They fill the scene's free air, near surfaces and far (after the lighting priors of Loos et al. 2011,
+Modular Radiance Transfer), with suns where the scene has a sun.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..lights import irradiance
+from ..rays import Bvh, Tracer, chunks, in_threads
+from ..sampling import cosine_hemisphere, frame, hash_uniform, spiral
+from ..scene import Light, Scene
+from ..surface import SurfaceSamples
+
+NEAR = (0.005, 0.045)
+"""Least and most distance of near lamps from the surface below, in parts of the scene's extent."""
+
+
+def free_air(points: SurfaceSamples, bvh: Bvh, extent: float, seed: int, near: tuple[float, float] | None = None) -> np.ndarray:
+    """(n, 3) float32 places in the air, one above each of `points`.
+
+    near: (least, most) distance in m from the surface below; None for anywhere along a cosine ray.
+    """
+    index = np.arange(len(points))
+    spin = np.stack([hash_uniform(index, 1, seed), hash_uniform(index, 2, seed)], 1)
+    local = cosine_hemisphere(spin).astype(np.float32)
+    tangent, bitangent = frame(points.normal)
+    direction = local[:, :1] * tangent + local[:, 1:2] * bitangent + local[:, 2:] * points.normal
+    origin = np.ascontiguousarray(points.position + points.flat * np.float32(1e-4 * extent))
+    free = np.minimum(bvh.hits(origin, np.ascontiguousarray(direction, np.float32)).distance, 0.5 * extent)
+    part = hash_uniform(index, 3, seed)
+    if near is None:
+        along = free * (0.02 + 0.96 * part)
+    else:
+        along = np.minimum(near[0] * (near[1] / near[0]) ** part / np.maximum(local[:, 2], 0.3), 0.9 * free)
+    return (origin + direction * along[:, None]).astype(np.float32)
+
+
+def point_lamps(places: np.ndarray) -> list[Light]:
+    """Point lamps of unit power at (n, 3) places."""
+    lamps = []
+    for place in places:
+        matrix = np.eye(4)
+        matrix[:3, 3] = place
+        lamps.append(Light("training", "POINT", matrix, np.ones(3)))
+    return lamps
+
+
+def sun_lamps(scene: Scene, count: int, seed: int) -> list[Light]:
+    """Suns all over the sky's upper half, where the scene has a sun; otherwise none."""
+    if not any(light.kind == "SUN" for light in scene.lights):
+        return []
+    index = np.arange(count)
+    height = 0.05 + 0.95 * hash_uniform(index, 4, seed)
+    angle = 2 * np.pi * hash_uniform(index, 5, seed)
+    ring = np.sqrt(1 - height**2)
+    toward = np.stack([ring * np.cos(angle), ring * np.sin(angle), height], 1).astype(np.float32)
+    lamps = []
+    for axis, side, up in zip(toward, *frame(toward), strict=True):
+        matrix = np.eye(4)
+        matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = side, up, axis
+        lamps.append(Light("training", "SUN", matrix, np.ones(3)))
+    return lamps
+
+
+def training_lamps(scene: Scene, points: SurfaceSamples, bvh: Bvh, count: int, seed: int) -> list[Light]:
+    """About `count` lamps: a third anywhere in the air, the rest near surfaces, in turns; suns where there is one.
+
+    points: places on the entries, from which the air is found.
+    """
+    extent = scene.extent
+    suns = sun_lamps(scene, count // 12, seed)
+    rng = np.random.default_rng(seed)
+    places = []
+    for share, near in ((1 / 3, None), (2 / 3, (NEAR[0] * extent, NEAR[1] * extent))):
+        # twice as many as wanted: those in cracks fall out
+        chosen = np.sort(rng.integers(0, len(points), int(2 * share * count) + 8))
+        found = free_air(points.take(chosen), bvh, extent, seed + 17, near)
+        found = found[clearance(found, bvh) > 0.6 * NEAR[0] * extent]
+        places.append(found[rng.permutation(len(found))[: int(share * count)]])
+    return point_lamps(np.concatenate(places)) + suns
+
+
+def clearance(places: np.ndarray, bvh: Bvh) -> np.ndarray:
+    """(n,) float32 distance, m, from each place (n, 3) to about the nearest surface, by 64 rays around."""
+    around = spiral(64)
+    result = np.empty(len(places), np.float32)
+
+    def part(piece):
+        origins = np.repeat(places[piece], len(around), axis=0)
+        rays = np.tile(around, (piece.stop - piece.start, 1))
+        result[piece] = bvh.hits(origins, rays).distance.reshape(-1, len(around)).min(axis=1)
+
+    in_threads(part, chunks(len(places), 128))
+    return result
+
+
+def illuminate(
+    lamps: list[Light],
+    points: SurfaceSamples,
+    each: int,
+    tracer: Tracer,
+    seed: int,
+    tick: Callable[[int], None] | None = None,
+) -> np.ndarray:
+    """(n, lamps) float32 direct irradiance of unit lamps at n entries, each seen at `each` of its places.
+
+    points: (n × each) samples, row-major. Lamps take turns with the places, so that training sees them all.
+    """
+    count = len(points) // each
+    result = np.empty((count, len(lamps)), np.float32)
+
+    def one(k):
+        rows = np.arange(count) * each + k % each
+        position = points.position[rows] + points.flat[rows] * np.float32(tracer.offset)
+        found = irradiance(lamps[k], position, points.normal[rows], tracer.visibility, 1, seed + k)
+        result[:, k] = found if found.ndim == 1 else found.mean(axis=1)
+        if tick is not None:
+            tick(0)
+
+    in_threads(one, range(len(lamps)))
+    return result

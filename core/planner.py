@@ -1,0 +1,80 @@
+"""From the error that the user accepts to budgets of entries, rays and panes. Runs nothing itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from .scene import Scene, SceneError
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the user states.
+
+    error_target: accepted relative error of indirect irradiance (design, "The error of a bake").
+    time_budget: s for the whole bake, 0 for none. resolution: of the atlas, texels a side. seed: of all
+    random numbers. entries, entry_rays, exit_rays, regions, panes, lamps: budgets to use instead of the
+    planner's; None leaves them to it.
+
+    Raises SceneError for values that make no sense.
+    """
+
+    error_target: float = 0.05
+    time_budget: float = 0.0
+    resolution: int = 256
+    seed: int = 0
+    entries: int | None = None
+    entry_rays: int | None = None
+    exit_rays: int | None = None
+    regions: int | None = None
+    panes: int | None = None
+    lamps: int | None = None
+
+    def __post_init__(self):
+        if not 1e-3 <= self.error_target <= 1:
+            raise SceneError(f"The error target is {self.error_target}; use a number from 0.001 to 1.")
+        if self.time_budget < 0:
+            raise SceneError(f"The time budget is {self.time_budget} s; use 0 for none, or a positive number.")
+        if not 16 <= self.resolution <= 8192:
+            raise SceneError(f"The resolution is {self.resolution}; use 16 to 8192 texels.")
+
+
+@dataclass(frozen=True)
+class Budget:
+    """entries: patches' sides. entry_rays, exit_rays: cosine rays of each. regions, panes: regions and scalar
+    panes of each. lamps: training lamps, two thirds of them near surfaces."""
+
+    entries: int
+    entry_rays: int
+    exit_rays: int
+    regions: int
+    panes: int
+    lamps: int
+
+
+def plan(scene: Scene, settings: Settings) -> Budget:
+    """Budgets for an error target, scaled from those measured at 0.05.
+
+    The error of the entries' size falls with their number, that of the gather with the root of the rays.
+    """
+    finer = 0.05 / settings.error_target
+    budget = Budget(
+        entries=_clamp(4096 * finer**0.6, 800, 10_000),
+        entry_rays=_clamp(3072 * finer, 512, 8192),
+        exit_rays=_clamp(256 * finer, 64, 2048),
+        regions=_clamp(160 * finer**0.3, 48, 256),
+        panes=16 if finer <= 2 else 24,
+        lamps=_clamp(1500 * finer**0.5, 400, 4000),
+    )
+    given = {name: value for name in Budget.__dataclass_fields__ if (value := getattr(settings, name)) is not None}
+    return replace(budget, **given)
+
+
+def limit_rays(budget: Budget, exits: int, rate: float, left: float) -> Budget:
+    """Budget whose exit gather fits into `left` seconds at `rate` rays a second."""
+    rays = _clamp(left * rate / max(exits, 1), 16, budget.exit_rays)
+    return replace(budget, exit_rays=rays)
+
+
+def _clamp(value: float, low: int, high: int) -> int:
+    return int(min(max(round(value), low), high))

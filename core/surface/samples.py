@@ -1,0 +1,76 @@
+"""Points on a scene's surface and what the scene says about them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..rays import sample_map
+from ..scene import Scene
+
+
+@dataclass(frozen=True)
+class SurfaceSamples:
+    """Points on triangles.
+
+    position: (n, 3) float32, m. normal: (n, 3) float32 unit shading normal. flat: (n, 3) float32
+    unit geometric normal, on the shading normal's side. triangle: (n,) int32 of the scene.
+    weights: (n, 3) float32 barycentric weights of its corners.
+    """
+
+    position: np.ndarray
+    normal: np.ndarray
+    flat: np.ndarray
+    triangle: np.ndarray
+    weights: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.triangle)
+
+    def take(self, rows: np.ndarray) -> SurfaceSamples:
+        """The samples at `rows` (an index array, a mask or a slice)."""
+        return SurfaceSamples(
+            self.position[rows], self.normal[rows], self.flat[rows], self.triangle[rows], self.weights[rows]
+        )
+
+    def flipped(self, back: np.ndarray) -> SurfaceSamples:
+        """The same places, seen from the other side where `back` (n,) bool is set."""
+        sign = np.where(back, -1, 1).astype(np.float32)[:, None]
+        return SurfaceSamples(self.position, self.normal * sign, self.flat * sign, self.triangle, self.weights)
+
+
+def sample_triangles(scene: Scene, triangle: np.ndarray, weights: np.ndarray) -> SurfaceSamples:
+    """Samples at barycentric `weights` (n, 3) of triangles (n,)."""
+    weights = weights.astype(np.float32)
+    corners = scene.positions[scene.triangles[triangle]]
+    position = np.einsum("nk,nkd->nd", weights, corners)
+    flat = unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    normal = np.einsum("nk,nkd->nd", weights, scene.corner_normals[triangle])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    # opposite corner normals can cancel; the face's own normal is the best guess there
+    normal = np.where(length > 1e-6, normal / np.maximum(length, 1e-6), flat)
+    facing = np.einsum("nd,nd->n", flat, normal)
+    flat = np.where(facing[:, None] < 0, -flat, flat)
+    return SurfaceSamples(position, normal.astype(np.float32), flat, triangle.astype(np.int32), weights)
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """(n, 3) float32 scaled to length 1; float64 inside, since millimetre scenes square to denormals."""
+    wide = vectors.astype(np.float64)
+    return (wide / np.maximum(np.linalg.norm(wide, axis=1, keepdims=True), 1e-300)).astype(np.float32)
+
+
+def surface_colour(scene: Scene, what: str, triangle: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """(n, 3) float32 `what` ("albedo", "emission" or "transmission") at places on triangles."""
+    constant = np.array([getattr(m, what) for m in scene.materials], np.float32)
+    material = scene.triangle_material[triangle]
+    colour = constant[material]
+    image = getattr(scene, f"{what}_map")
+    if image is not None:
+        mapped = np.array([m.mapped for m in scene.materials], bool)[material]
+        rows = np.flatnonzero(mapped & np.isfinite(scene.atlas_uv[triangle]).all((1, 2)))
+        if len(rows):
+            uv = np.einsum("nk,nkd->nd", weights[rows], scene.atlas_uv[triangle[rows]])
+            colour[rows] = sample_map(image, uv)
+    return colour

@@ -1,0 +1,130 @@
+"""The atlas' texels as surface samples, and how the texels between charts are filled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..rays import Bvh, chunks, in_threads
+from ..scene import Scene, SceneError
+from .samples import SurfaceSamples, sample_triangles
+
+GUTTER = 16
+"""Texels past a chart's border that are filled, so that filtering and mip maps never read black."""
+
+
+@dataclass(frozen=True)
+class Texels:
+    """Texels that lie on, or within one texel of, a chart.
+
+    samples: one per such texel; where the centre is off the chart, the nearest place on the chart.
+    index: (n,) int32 row × resolution + column in the atlas, row 0 at v = 0.
+    centred: (n,) bool, whether the texel's own centre is on the chart.
+    resolution: texels a side.
+    """
+
+    samples: SurfaceSamples
+    index: np.ndarray
+    centred: np.ndarray
+    resolution: int
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def keep(self, rows: np.ndarray) -> Texels:
+        """The texels at `rows` only."""
+        return replace(self, samples=self.samples.take(rows), index=self.index[rows], centred=self.centred[rows])
+
+    def fill(self) -> np.ndarray:
+        """(resolution²,) int32: for each texel of the atlas the row of `self` that it shows.
+
+        Texels without a row take the nearest one's within GUTTER texels, −1 beyond.
+        """
+        size = self.resolution
+        rows = np.full((size, size), -1, np.int32)
+        rows.reshape(-1)[self.index] = np.arange(len(self), dtype=np.int32)
+        # nearest by growing rings: straight neighbours before diagonal ones
+        steps = [(0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)]
+        for _ in range(GUTTER):
+            empty = rows < 0
+            if not empty.any():
+                break
+            padded = np.pad(rows, 1, constant_values=-1)
+            grown = rows.copy()
+            for dy, dx in steps:
+                near = padded[1 + dy : 1 + dy + size, 1 + dx : 1 + dx + size]
+                grown = np.where(grown < 0, near, grown)
+            rows = grown
+        return rows.reshape(-1)
+
+
+def make_texels(scene: Scene, resolution: int) -> Texels:
+    """Find the surface under every texel, by rays through the flattened charts.
+
+    Raises SceneError where nothing has a place in the atlas.
+    """
+    placed = np.flatnonzero(np.isfinite(scene.atlas_uv).all((1, 2)))
+    receives = np.array([o.receives for o in scene.objects], bool)
+    placed = placed[receives[scene.triangle_object[placed]]]
+    if not len(placed):
+        raise SceneError("No object has a place in the atlas; every object is excluded or could not be unwrapped.")
+    flat = np.zeros((len(placed), 3, 3), np.float32)
+    flat[:, :, :2] = scene.atlas_uv[placed] * resolution
+    charts = Bvh(flat)
+
+    def find(xy):
+        """Chart triangle, u and v under (n, 2) places in texels."""
+
+        def part(piece):
+            origins = np.ones((piece.stop - piece.start, 3), np.float32)
+            origins[:, :2] = xy[piece]
+            down = np.tile(np.array([0, 0, -1], np.float32), (len(origins), 1))
+            return charts.hits(origins, down)
+
+        parts = in_threads(part, chunks(len(xy)))
+        return tuple(np.concatenate([getattr(p, k) for p in parts]) for k in ("triangle", "u", "v"))
+
+    column, row = np.meshgrid(np.arange(resolution), np.arange(resolution))
+    centre = np.stack([column.ravel(), row.ravel()], 1).astype(np.float32) + np.float32(0.5)
+    triangle, u, v = find(centre)
+    centred = triangle >= 0
+    # texels whose centre is off the chart but which bilinear filtering reads: the nearest place that is on it
+    steps = np.linspace(-1, 1, 7, dtype=np.float32)
+    offsets = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+    offsets = offsets[np.argsort((offsets**2).sum(1), kind="stable")][1:]
+    near = _next_to(centred.reshape(resolution, resolution)).ravel()
+    left = np.flatnonzero(near | _touched(flat, resolution) & ~centred)
+    for offset in offsets:
+        if not len(left):
+            break
+        found, fu, fv = find(centre[left] + offset)
+        hit = found >= 0
+        rows = left[hit]
+        triangle[rows], u[rows], v[rows] = found[hit], fu[hit], fv[hit]
+        left = left[~hit]
+    index = np.flatnonzero(triangle >= 0).astype(np.int32)
+    weights = np.stack([1 - u[index] - v[index], u[index], v[index]], 1)
+    # off the very edge, where a wall may stand
+    weights = 0.999 * np.clip(weights, 0, 1) + 0.001 / 3
+    samples = sample_triangles(scene, placed[triangle[index]], weights)
+    return Texels(samples, index, centred[index], resolution)
+
+
+def _next_to(mask: np.ndarray) -> np.ndarray:
+    """Unset texels with a set one among their eight neighbours."""
+    padded = np.pad(mask, 1)
+    size = mask.shape
+    near = np.zeros_like(mask)
+    for dy in range(3):
+        for dx in range(3):
+            near |= padded[dy : dy + size[0], dx : dx + size[1]]
+    return near & ~mask
+
+
+def _touched(flat: np.ndarray, resolution: int) -> np.ndarray:
+    """(resolution²,) bool: texels near a chart corner, so that charts thinner than a texel are not lost."""
+    corners = np.clip(flat[:, :, :2].astype(np.int32), 0, resolution - 1).reshape(-1, 2)
+    mask = np.zeros((resolution, resolution), bool)
+    mask[corners[:, 1], corners[:, 0]] = True
+    return mask.ravel()

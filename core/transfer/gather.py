@@ -1,0 +1,153 @@
+"""Cosine rays from points, each turned into the id of the surface that it lands on.
+
+The tracing mesh is cut along the patches' borders, so the triangle's number alone names the patch and
+no hit position is ever computed. One pattern of directions serves a chunk of points, turned about each
+point's normal by its own angle: all directions are one small matrix product.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..rays import CHUNK, LAYERS, Bvh, Transmission, chunks, in_threads
+from ..sampling import cosine_hemisphere, frame, hammersley_points, hash_uniform
+from ..scene import Scene
+from ..surface import Patches, SurfaceSamples
+
+ROWS = 16
+"""Directions of the pattern handled together: their ids stay in the second-level cache."""
+
+
+class Gatherer:
+    """Names what rays land on.
+
+    front, back: (p,) int32 id of each piece's two sides. miss: id of the sky's first bin; a sky with
+    `bins` = (rows, columns) > (1, 1) has one id for each direction bin from `miss` on.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        patches: Patches,
+        bvh: Bvh,
+        front: np.ndarray,
+        back: np.ndarray,
+        miss: int,
+        bins: tuple[int, int] = (1, 1),
+        offset: float = 0.0,
+    ):
+        self.bvh = bvh
+        self.miss = miss
+        self.bins = bins
+        self.size = miss + bins[0] * bins[1]
+        self.offset = offset
+        # the last row answers Embree's −1
+        self._front = np.append(front, miss).astype(np.int32)
+        self._back = np.append(back, miss).astype(np.int32)
+        self._two_sided = self._front != self._back
+        self._any_two_sided = bool(self._two_sided.any())
+        cross = np.cross(patches.corners[:, 1] - patches.corners[:, 0], patches.corners[:, 2] - patches.corners[:, 0])
+        self._flat = cross.astype(np.float32)
+        self._patches = patches
+        self._transmission = Transmission(scene)
+        clear = self._transmission.see_through[patches.parent]
+        self._clear = np.append(clear, False)
+        self._any_clear = bool(clear.any())
+
+    def gather(
+        self,
+        points: SurfaceSamples,
+        rays: int,
+        seed: int,
+        consume: Callable[[slice, np.ndarray], None],
+        tick: Callable[[int], None] | None = None,
+        threads: int | None = None,
+    ) -> None:
+        """Shoot `rays` cosine rays from each point.
+
+        consume(points' slice, ids (rows, m) int32) gets blocks of at most ROWS rays of a chunk of points;
+        the blocks of one slice come in order from one thread. tick(rays done) follows each chunk; an
+        exception that it raises ends the gather.
+        """
+        # rays below the surface carry nothing, as in Cycles; only smooth shading has such rays
+        smooth = bool((np.einsum("nd,nd->n", points.normal, points.flat) < 0.9999).any())
+
+        def chunk(piece: slice):
+            origins = np.ascontiguousarray(points.position[piece] + points.flat[piece] * np.float32(self.offset))
+            count = len(origins)
+            turn = self._turns(points.normal[piece], piece, seed)
+            flat = np.ascontiguousarray(points.flat[piece].T) if smooth else None
+            pattern = cosine_hemisphere(hammersley_points(rays, seed + 7919 * (1 + piece.start // CHUNK)))
+            for start in range(0, rays, ROWS):
+                block = pattern[start : start + ROWS].astype(np.float32)
+                directions = (block @ turn).reshape(len(block), count, 3)
+                ids = np.empty((len(block), count), np.int32)
+                for row in range(len(block)):
+                    ids[row] = self._land(origins, directions[row], flat)
+                consume(piece, ids)
+            if tick is not None:
+                tick(rays * count)
+
+        in_threads(chunk, chunks(len(points)), threads)
+
+    @staticmethod
+    def _turns(normal, piece, seed):
+        """(3, 3m): each point's frame, turned about its normal, so that pattern @ turns are directions."""
+        tangent, bitangent = frame(normal)
+        angle = (2 * np.pi * hash_uniform(np.arange(piece.start, piece.stop), 5, seed)).astype(np.float32)[:, None]
+        cos, sin = np.cos(angle), np.sin(angle)
+        return np.stack([tangent * cos + bitangent * sin, bitangent * cos - tangent * sin, normal]).reshape(3, -1)
+
+    def _land(self, origins, directions, flat):
+        triangle = self.bvh.closest(origins, directions)
+        if self._any_clear:
+            triangle = self._pass_clear(origins, directions, triangle)
+        ids = self._front.take(triangle, mode="wrap")
+        if self._any_two_sided:
+            rows = np.flatnonzero(self._two_sided.take(triangle, mode="wrap"))
+            behind = np.einsum("nd,nd->n", self._flat[triangle[rows]], directions[rows]) > 0
+            rows = rows[behind]
+            ids[rows] = self._back[triangle[rows]]
+        if self.bins != (1, 1):
+            rows = np.flatnonzero(triangle < 0)
+            ids[rows] = self.miss + sky_bin(directions[rows], self.bins)
+        if flat is not None:
+            below = flat[0] * directions[:, 0] + flat[1] * directions[:, 1] + flat[2] * directions[:, 2] <= 0
+            ids[below] = self.miss - 1
+        return ids
+
+    def _pass_clear(self, origins, directions, triangle):
+        """Let rays through see-through surfaces with the odds of their mean transmission."""
+        triangle = triangle.copy()
+        rows = np.flatnonzero(self._clear.take(triangle, mode="wrap"))
+        start, ahead = origins[rows], directions[rows]
+        for layer in range(LAYERS):
+            if not len(rows):
+                break
+            hits = self.bvh.hits(start, ahead)
+            triangle[rows] = hits.triangle
+            stay = ~self._clear.take(hits.triangle, mode="wrap")
+            index = np.flatnonzero(~stay)
+            piece = hits.triangle[index]
+            inside = np.stack([1 - hits.u[index] - hits.v[index], hits.u[index], hits.v[index]], 1)
+            parent = np.einsum("nk,nkc->nc", inside, self._patches.weights[piece])
+            odds = self._transmission.at(self._patches.parent[piece], parent[:, 1], parent[:, 2]).mean(axis=1)
+            # the direction's own bits decide, so that the choice depends on neither chunk nor thread
+            bits = np.ascontiguousarray(ahead[index]).view(np.uint32).astype(np.uint64)
+            dice = hash_uniform(bits[:, 0] ^ (bits[:, 1] << np.uint64(20)) ^ (bits[:, 2] << np.uint64(32)), 11 + layer, 0)
+            on = index[dice < odds]
+            step = (hits.distance[on] + self.offset)[:, None]
+            rows, start, ahead = rows[on], start[on] + ahead[on] * step, ahead[on]
+        triangle[rows] = -1
+        return triangle
+
+
+def sky_bin(directions: np.ndarray, bins: tuple[int, int]) -> np.ndarray:
+    """(n,) int32 bin of the sky for unit directions (n, 3); rows of equal height in z, hence equal solid angle."""
+    rows, columns = bins
+    row = np.clip(((directions[:, 2] + 1) * (0.5 * rows)).astype(np.int32), 0, rows - 1)
+    around = 0.5 - np.arctan2(directions[:, 1], directions[:, 0]) / np.float32(2 * np.pi)
+    column = np.clip((around * columns).astype(np.int32), 0, columns - 1)
+    return row * columns + column

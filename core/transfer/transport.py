@@ -1,0 +1,106 @@
+"""The transport between entries, and all bounces by a linear solve.
+
+Radiosity x = ρ (b + F x) + e, with b the direct irradiance of the entries, ρ their albedo, e what they
+emit, and F the form factors that the gather counts (design, "Gather, then solve").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..rays import CHUNK, Bvh
+from ..scene import Scene
+from ..surface import Patches
+from .entries import Entries
+from .gather import Gatherer
+
+PLACES = 16
+"""Places on each entry from which its rays start."""
+
+
+@dataclass(frozen=True)
+class Transport:
+    """between: (n, n) float32, the part of the cosine-weighted hemisphere of entry i that entry j fills.
+    sky: (n, k) float32, the part that each bin of the sky fills."""
+
+    between: np.ndarray
+    sky: np.ndarray
+
+    def solve(self, albedo: np.ndarray, source: np.ndarray, tolerance: float = 1e-4) -> np.ndarray:
+        """Radiosity (n, c) of all bounces, W/m², for `source` (n, c): light that leaves the entries first.
+
+        albedo: (n, c) or (n, 1), below 1. Neumann series until the last bounce adds less than `tolerance`
+        of the sum, at most 400 bounces.
+        """
+        total = source.astype(np.float32)
+        bounce = total
+        for _ in range(400):
+            bounce = albedo * (self.between @ bounce)
+            total = total + bounce
+            if np.abs(bounce).max(initial=0) <= tolerance * np.abs(total).max(initial=0):
+                break
+        return total
+
+
+def make_transport(
+    scene: Scene,
+    patches: Patches,
+    entries: Entries,
+    gatherer: Gatherer,
+    rays: int,
+    seed: int = 0,
+    tick: Callable[[int], None] | None = None,
+) -> Transport:
+    """Count where `rays` cosine rays of each entry land; reciprocity A_i F_ij = A_j F_ji halves the noise."""
+    count, columns = len(entries), gatherer.size
+    places = min(PLACES, rays)
+    points = entries.points(scene, patches, places, seed + 31)
+    each = max(1, rays // places)
+    counts = np.zeros((count, columns), np.float32)
+    share = CHUNK // places
+    pending: dict[int, list[np.ndarray]] = {}
+    blocks = -(-each // 16)
+
+    def consume(piece, ids):
+        blocks_here = pending.setdefault(piece.start, [])
+        row = (np.arange(ids.shape[1], dtype=np.int32) // places) * columns
+        blocks_here.append((ids + row).reshape(-1))
+        if len(blocks_here) == blocks:
+            keys = np.concatenate(pending.pop(piece.start))
+            rows = -(-ids.shape[1] // places)
+            first = piece.start // places
+            found = np.bincount(keys, minlength=rows * columns).reshape(rows, columns)
+            np.multiply(found, np.float32(1 / (each * places)), out=counts[first : first + rows], casting="unsafe")
+
+    assert share * places == CHUNK
+    gatherer.gather(points, each, seed + 32, consume, tick)
+    between = counts[:, :count]
+    sky = np.ascontiguousarray(counts[:, count + 1 :])
+    area = entries.area.astype(np.float32)
+    for start in range(0, count, 512):
+        # in place, block by block of the upper triangle: a second full matrix would double the memory
+        rows = slice(start, min(start + 512, count))
+        for left in range(start, count, 512):
+            cols = slice(left, min(left + 512, count))
+            upper = between[rows, cols] * area[rows, None]
+            lower = between[cols, rows] * area[cols, None]
+            mean = 0.5 * (upper + lower.T)
+            between[rows, cols] = mean / area[rows, None]
+            between[cols, rows] = mean.T / area[cols, None]
+    return Transport(np.ascontiguousarray(between), sky)
+
+
+def make_gatherer(
+    scene: Scene, patches: Patches, entries: Entries, bvh: Bvh, offset: float, bins: tuple[int, int] = (1, 1)
+) -> Gatherer:
+    """Rays that name entries: ids 0 … n−1; n is a dead end; the sky follows.
+
+    A side that no path needs shares its other side's entry.
+    """
+    front, back = entries.front_id[patches.patch], entries.back_id[patches.patch]
+    none = len(entries)
+    front, back = np.where(front == none, back, front), np.where(back == none, front, back)
+    return Gatherer(scene, patches, bvh, front, back, none + 1, bins, offset)
