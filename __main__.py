@@ -7,10 +7,9 @@ def main() -> int:
     try:
         import bpy  # noqa: F401
     except ImportError:
-        print(
+        sys.stderr.write(
             "lightpanes: this Python has no bpy. Install it (pip install bpy), or run the same in Blender: "
-            "blender --background FILE.blend --command lightpanes bake",
-            file=sys.stderr,
+            "blender --background FILE.blend --command lightpanes bake\n"
         )
         return 2
     from .addon import commands, register

@@ -36,7 +36,7 @@ def bake_scene(context: bpy.types.Context, progress: Callable[[Progress], None] 
         error_target=asked.error_target, time_budget=asked.time_budget, resolution=asked.resolution, seed=asked.seed
     )
     progress(Progress("Atlas", 0.0, 0))
-    with _atlas_kept_on_failure():
+    with relight.paused(), _atlas_kept_on_failure():
         objects = [item for item in scene.objects if item.type == "MESH" and not item.lightpanes.exclude]
         make_atlas(context, objects, settings.resolution)
         progress(Progress("Reading the scene", 0.02, 0))
@@ -44,10 +44,12 @@ def bake_scene(context: bpy.types.Context, progress: Callable[[Progress], None] 
         result = bake(surfaces, settings, lambda p: progress(Progress(p.stage, 0.05 + 0.93 * p.fraction, p.rays)))
         report = result.meta.setdefault("report", {})
         report["warnings"] = warnings + [w for w in report.get("warnings", []) if w not in warnings]
-        result.meta["fingerprint"] = extract.fingerprint(context)
         store.store_bake(scene, result, surfaces.albedo_map)
-    relight.adopt(scene, Relighter(result, Tracer(surfaces)))
+    relight.adopt(scene, Relighter(result.panes(), Tracer(surfaces)))
     report["warnings"] += nodes.attach(context, surfaces)
+    # after attaching, which may give materials to objects that have none
+    result.meta["fingerprint"] = extract.fingerprint(context)
+    store.write_meta(scene, result.meta)
     report["relight_ms"] = round(relight.relight(context), 2)
     report["total_seconds"] = round(time.perf_counter() - start, 3)
     relight.pack()

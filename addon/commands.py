@@ -17,6 +17,7 @@ from pathlib import Path
 
 import bpy
 
+from ..core.bake import BakeError
 from ..core.scene import SceneError
 from . import baking, operators, relight, store
 
@@ -43,7 +44,7 @@ def main(arguments: list[str], *, opened: bool = False) -> int:
     try:
         options = _parser(opened).parse_args(arguments)
         return options.run(options)
-    except (UserError, SceneError) as error:
+    except (UserError, SceneError, BakeError) as error:
         print(f"lightpanes: {error}", file=sys.stderr)
         return BAD_INPUT
     except SystemExit as leaving:  # --help

@@ -159,14 +159,22 @@ def _remove_default_material():
         if default.node_tree is not None and any(_is_ours(node) for node in default.node_tree.nodes):
             continue  # another scene still shows its bake on it
         for item in bpy.data.objects:
-            for slot in item.material_slots:
+            for index, slot in reversed(list(enumerate(item.material_slots))):
                 if slot.material == default:
-                    slot.material = None
-            data = item.data
-            if data is not None and _SLOT in data:
-                data.materials.pop()
-                del data[_SLOT]
+                    _empty_slot(item, index)
         bpy.data.materials.remove(default)
+
+
+def _empty_slot(item, index):
+    """Take our material out of a slot, and the slot away where it was ours too."""
+    item.material_slots[index].material = None
+    if _SLOT not in item.data:
+        return
+    del item.data[_SLOT]
+    item.active_material_index = index
+    # Popping it from the data leaves the objects' own count of slots behind.
+    with bpy.context.temp_override(object=item, active_object=item):
+        bpy.ops.object.material_slot_remove()
 
 
 def _attach_material(material, group, baked: Material | None):
@@ -260,8 +268,8 @@ def _add_pair(material, target: str, group, like):
             if like.inputs[name].is_linked:
                 tree.links.new(like.inputs[name].links[0].from_socket, node.inputs[name])
     tree.links.new(node.outputs["Shader"], output.inputs["Surface"])
+    tree.nodes.active = active  # an output that becomes the active node would become the active output, too
     output.is_active_output = True
-    tree.nodes.active = active
     return node
 
 

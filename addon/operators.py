@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..core.bake import BakeError
 from ..core.scene import SceneError
 from . import baking, relight
 
@@ -50,7 +51,7 @@ class LIGHTPANES_OT_bake(bpy.types.Operator):
         try:
             with ConsoleProgress(context.window_manager) as progress:
                 report = baking.bake_scene(context, progress)
-        except SceneError as error:
+        except (SceneError, BakeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         for warning in report["warnings"]:
@@ -68,7 +69,7 @@ class LIGHTPANES_OT_relight(bpy.types.Operator):
     def execute(self, context):
         try:
             milliseconds = relight.relight(context)
-        except SceneError as error:
+        except (SceneError, BakeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         current = relight.session(context.scene)

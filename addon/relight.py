@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import threading
 import time
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import bpy
@@ -16,6 +17,7 @@ from bpy.app.handlers import persistent
 
 from ..core.panes import Relighter
 from ..core.rays import Tracer
+from ..core.bake import BakeError
 from ..core.scene import Light, SceneError
 from . import extract, lamps, store
 
@@ -66,6 +68,13 @@ def adopt(scene: bpy.types.Scene, relighter: Relighter) -> None:
     _sessions[scene.session_uid] = Session(store.bake_key(scene), relighter)
 
 
+@contextmanager
+def paused():
+    """Handlers do nothing meanwhile: reading a scene for a bake makes changes that look like lamps switched on."""
+    with _lock:
+        yield
+
+
 def relight(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph | None = None) -> float:
     """Bring the scene's `Lightpanes Irradiance` up to date with its lamps; returns milliseconds.
 
@@ -100,7 +109,7 @@ def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
             return False
         try:
             _apply(bpy.context, scene, current, lights)
-        except SceneError as error:
+        except (SceneError, BakeError) as error:
             current.shown = key  # the same lamps would fail the same way
             if current.error != str(error):
                 current.error = str(error)
@@ -125,7 +134,10 @@ def differences(before: dict[str, str], now: dict[str, str]) -> tuple[str, ...]:
     """What to tell the user about objects that were added, deleted or edited; fingerprints by object name."""
     gone = [f"'{name}' was deleted or hidden" for name in before if name not in now]
     new = [f"'{name}' was added" for name in now if name not in before]
-    edited = [f"'{name}' was moved or edited" for name in before if name in now and now[name] != before[name]]
+    # "" is an object that the viewport hides, which can't be read
+    edited = [
+        f"'{name}' was moved or edited" for name, was in before.items() if was and now.get(name, was) not in (was, "")
+    ]
     return tuple(f"{what} since the bake; bake again." for what in gone + edited + new)
 
 
@@ -158,7 +170,7 @@ def _relighter(context, scene, current: Session) -> Relighter:
     if current.relighter is None:
         bake = store.load_bake(scene)
         geometry = extract.extract(context, resolution=bake.resolution, albedo=False)
-        current.relighter = Relighter(bake, Tracer(geometry))
+        current.relighter = Relighter(bake.panes(), Tracer(geometry))
     return current.relighter
 
 
@@ -219,7 +231,7 @@ def _on_render(scene, *_):
     with _lock:
         try:
             _relighter(bpy.context, scene, current)
-        except SceneError as error:
+        except (SceneError, BakeError) as error:
             current.error = str(error)
             print(f"Lightpanes: {error}")
 

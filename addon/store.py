@@ -308,10 +308,6 @@ def _collection(scene: bpy.types.Scene) -> bpy.types.Collection:
     collection[TAG] = COLLECTION
     collection.hide_render = collection.hide_viewport = True
     scene.collection.children.link(collection)
-    for layer in scene.view_layers:
-        child = layer.layer_collection.children.get(collection.name)
-        if child is not None:
-            child.exclude = True
     return collection
 
 

@@ -1,0 +1,43 @@
+"""A registered add-on and a small scene around every test that needs Blender."""
+
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+import lightpanes  # noqa: E402
+
+
+@pytest.fixture
+def blender():
+    """An empty Blender with Lightpanes registered, and no trace of the test before."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    lightpanes.register()
+    yield bpy
+    lightpanes.unregister()
+
+
+@pytest.fixture
+def room(blender):
+    """A closed room 2 m wide with a block in it and a point lamp; returns the scene."""
+    scene = bpy.context.scene
+    scene.lightpanes.resolution = 64
+    bpy.ops.mesh.primitive_cube_add(size=2.0)
+    walls = bpy.context.object
+    walls.name = "Room"
+    walls.data.flip_normals()
+    bpy.ops.mesh.primitive_cube_add(size=0.5, location=(0.3, 0.2, -0.75))
+    bpy.context.object.name = "Block"
+    lamp = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    lamp.data.energy = 20.0
+    lamp.data.shadow_soft_size = 0.0
+    lamp.location = (-0.3, -0.2, 0.4)
+    scene.collection.objects.link(lamp)
+    for name, color in (("Room", (0.7, 0.6, 0.5)), ("Block", (0.2, 0.4, 0.7))):
+        material = bpy.data.materials.new(name)
+        material.use_nodes = True
+        shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+        shader.inputs["Base Color"].default_value = (*color, 1)
+        shader.inputs["Specular IOR Level"].default_value = 0.0  # diffuse alone, so that closed forms hold
+        bpy.data.objects[name].data.materials.append(material)
+    bpy.context.view_layer.update()
+    return scene
