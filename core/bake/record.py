@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..panes import Panes
+from ..panes.entry_light import EntrySurface
 from ..panes.weights import PaneWeights
 
 FORMAT = 1
@@ -26,8 +27,10 @@ class Bake:
     """images: float32 arrays by the name of their Blender image: "Lightpanes Panes" (k, H, W), the PRM atlas;
     "Lightpanes Interpolation" (2, H, W): the row-major number of the texel that each texel shows plus one,
     and the region of each exit plus one, 0 for none; "Lightpanes Weights" (flat), the operators of
-    PaneWeights one after another; "Lightpanes Static" (H, W, 3), irradiance that no lamp changes.
-    entries: arrays over n × each places on the entries: position, normal, albedo (3 float32), size (float32, m).
+    PaneWeights one after another; "Lightpanes Static" (H, W, 3), irradiance that no lamp changes; "Lightpanes Pieces"
+    (p, 3, 3), the triangles that make the entries.
+    entries: arrays over n × each places on the entries: position, normal, albedo (3 float32), size (float32, m)
+    and pieces (int32), the entry's number of triangles.
     direct: (H, W, 3) float32 irradiance of the sky's and emissive faces' first hit, or None.
     meta: JSON-able; "report" is for the user.
     """
@@ -58,18 +61,21 @@ class Bake:
         steady[texel] = panes.steady
         weights = panes.weights
         parts = (weights.first, weights.spread, weights.later)
-        each = len(panes.position) // max(len(panes.albedo), 1)
+        surface = panes.surface
+        each = len(surface.position) // max(len(surface), 1)
         entries = {
-            "position": panes.position,
-            "normal": panes.normal,
-            "albedo": np.repeat(panes.albedo, each, axis=0),
-            "size": np.repeat(panes.size, each),
+            "position": surface.position,
+            "normal": surface.normal,
+            "albedo": np.repeat(surface.albedo, each, axis=0),
+            "size": np.repeat(surface.size, each),
+            "pieces": np.repeat(surface.counts, each),
         }
         images = {
             "Lightpanes Panes": atlas.reshape(k, size, size),
             "Lightpanes Interpolation": table.reshape(2, size, size),
             "Lightpanes Weights": np.concatenate([p.reshape(-1) for p in parts]),
             "Lightpanes Static": steady.reshape(size, size, 3),
+            "Lightpanes Pieces": surface.pieces,
         }
         meta = {**meta, "format": FORMAT, "resolution": size, "regions": len(lengths), "each": each,
                 "shapes": [list(p.shape) for p in parts]}  # fmt: skip
@@ -106,10 +112,14 @@ class Bake:
             steady=self.images["Lightpanes Static"].reshape(-1, 3)[texel],
             fill=row[np.rint(table[0]).astype(np.int32) - 1],
             resolution=size,
-            position=self.entries["position"],
-            normal=self.entries["normal"],
-            albedo=np.ascontiguousarray(self.entries["albedo"][::each]),
-            size=np.ascontiguousarray(self.entries["size"][::each]),
+            surface=EntrySurface(
+                position=self.entries["position"],
+                normal=self.entries["normal"],
+                albedo=np.ascontiguousarray(self.entries["albedo"][::each]),
+                size=np.ascontiguousarray(self.entries["size"][::each]),
+                pieces=self.images["Lightpanes Pieces"].reshape(-1, 3, 3),
+                counts=np.ascontiguousarray(self.entries["pieces"][::each]).astype(np.int32),
+            ),
             weights=PaneWeights(*parts),
         )
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..lights import sky_radiance
 from ..panes import Panes
+from ..panes.entry_light import EntrySurface
 from ..panes.exits import gather_panes
 from ..panes.modes import learn_modes, training_fields
 from ..panes.regions import features, make_regions, nearest
@@ -125,7 +126,7 @@ def bake(scene: Scene, settings: Settings = Settings(), progress: Callable[[Prog
     points = features(entries.position, entries.normal, scene.extent)
     region = make_regions(points, entries.area, budget.regions, seed)
     modes = learn_modes(entries, region, radiosity, field, budget.panes)
-    weights = make_weights(entries, transport, modes, entries.albedo.mean(axis=1, keepdims=True) * direct[:, ::4])
+    weights = make_weights(entries, transport, modes, entries.albedo.mean(axis=1, keepdims=True) * direct[:, ::8])
     steady, shine = _steady_light(sky, bins, entries, transport)
 
     own = _own_region(texels.samples, bvh, entries, patches, region, points, scene.extent, tracer.offset)
@@ -142,17 +143,13 @@ def bake(scene: Scene, settings: Settings = Settings(), progress: Callable[[Prog
     found = gather_panes(gatherer, exits.samples, starts, tables, budget.exit_rays, seed + 41, clock.tick)
     k = modes.panes
     fill = exits.fill()
-    offset = np.float32(tracer.offset)
     panes = Panes(
         rows=np.ascontiguousarray(found[:, :k]),
         starts=starts,
         steady=np.ascontiguousarray(found[:, k : k + 3]) if steady is not None else np.zeros((len(exits), 3), np.float32),
         fill=fill,
         resolution=settings.resolution,
-        position=places.position + places.flat * offset,
-        normal=places.normal,
-        albedo=entries.albedo,
-        size=np.sqrt(entries.area).astype(np.float32),
+        surface=EntrySurface.of(entries, patches, places, tracer.offset),
         weights=weights,
     )
     first_hit = None

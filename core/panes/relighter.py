@@ -7,16 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..lights import irradiance
 from ..rays import Tracer
 from ..scene import Light
+from .entry_light import EntryLight, EntrySurface
 from .weights import PaneWeights
-
-FEW = 4
-"""Places of an entry that see a lamp; all of them once the lamp is near."""
-
-CLOSE = 3.0
-"""A lamp is near an entry within this many times the entry's size."""
 
 BLOCK = 128
 """Texels of one region that are blended by one matrix product."""
@@ -29,8 +23,7 @@ class Panes:
     rows: (t, k) float32 panes at the valid texels, sorted by region. starts: (regions + 1,) int.
     steady: (t, 3) float32 irradiance that no lamp changes (bounces of the sky and of emissive faces), W/m².
     fill: (resolution²,) int32 row that each texel of the atlas shows, −1 for none.
-    position, normal: (n × each, 3) float32 places on the entries, lifted off the surface, row-major.
-    albedo: (n, 3) float32. size: (n,) float32, √area of each entry, m. weights: see PaneWeights.
+    surface, weights: see EntrySurface and PaneWeights.
     """
 
     rows: np.ndarray
@@ -38,10 +31,7 @@ class Panes:
     steady: np.ndarray
     fill: np.ndarray
     resolution: int
-    position: np.ndarray
-    normal: np.ndarray
-    albedo: np.ndarray
-    size: np.ndarray
+    surface: EntrySurface
     weights: PaneWeights
 
 
@@ -53,16 +43,7 @@ class Relighter:
 
     def __init__(self, panes: Panes, tracer: Tracer, seed: int = 0):
         self.panes = panes
-        self.tracer = tracer
-        self.seed = seed
-        count = len(panes.albedo)
-        each = len(panes.position) // max(count, 1)
-        position = panes.position.reshape(count, each, 3)
-        normal = panes.normal.reshape(count, each, 3)
-        few = min(FEW, each)
-        # place-major: the first block is one place on every entry
-        self._few = tuple(np.ascontiguousarray(v[:, :few].swapaxes(0, 1)).reshape(-1, 3) for v in (position, normal))
-        self._all = (position, normal)
+        self.entry_light = EntryLight(panes.surface, tracer, seed)
         self._unit: dict[tuple, np.ndarray] = {}
         self._weights: dict[tuple, np.ndarray] = {}
         self._blocks, self._region, self._slot = _blocks(panes.rows, panes.starts)
@@ -72,25 +53,6 @@ class Relighter:
         self._light = np.zeros((self._blocks.shape[0] * BLOCK + 1, 3), np.float32)
         self._steady = np.zeros_like(self._light)
         self._steady[self._slot] = panes.steady
-
-    def unit_irradiance(self, light: Light) -> np.ndarray:
-        """(n,) or (n, 3) float32 irradiance of the entries by `light` at unit power, shadows included."""
-        panes = self.panes
-        few = len(self._few[0]) // max(len(panes.albedo), 1)
-        found = irradiance(light, *self._few, self.tracer.visibility, 1, self.seed)
-        found = found.reshape(few, len(panes.albedo), *found.shape[1:]).mean(axis=0)
-        position, normal = self._all
-        if light.kind != "SUN" and position.shape[1] > few:
-            reach = light.radius + 0.5 * max(light.size) * (light.kind == "AREA")
-            apart = np.linalg.norm(position[:, 0] - light.position.astype(np.float32), axis=1)
-            near = np.flatnonzero(apart < CLOSE * panes.size + reach)
-            if len(near):
-                each = position.shape[1]
-                again = irradiance(
-                    light, position[near].reshape(-1, 3), normal[near].reshape(-1, 3), self.tracer.visibility, 1, self.seed
-                )
-                found[near] = again.reshape(len(near), each, *again.shape[1:]).mean(axis=1)
-        return found
 
     def pane_weights(self, lights: Sequence[Light]) -> np.ndarray:
         """(m, 3) float32 sum of all lamps' weights; lamps seen before in the same place cost nothing."""
@@ -108,9 +70,9 @@ class Relighter:
             if place not in unit:
                 unit[place] = self._unit.get(place)
                 if unit[place] is None:
-                    unit[place] = self.unit_irradiance(light)
+                    unit[place] = self.entry_light.unit(light)
             direct = unit[place] if unit[place].ndim == 2 else unit[place][:, None]
-            reflected = self.panes.albedo * (direct * light.power.astype(np.float32))
+            reflected = self.panes.surface.albedo * (direct * light.power.astype(np.float32))
             weights[key] = (self.panes.weights.of(reflected), 1)
         self._unit, self._weights = unit, {key: value for key, (value, _) in weights.items()}
         total = np.zeros((len(self.panes.weights.first), 3), np.float32)

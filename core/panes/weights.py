@@ -36,8 +36,8 @@ class PaneWeights:
 def make_weights(entries: Entries, transport: Transport, modes: Modes, reflected: np.ndarray) -> PaneWeights:
     """Weights operator for `modes`.
 
-    reflected: (n, s) float32 albedo × direct irradiance of training lamps, from which the later bounces'
-    leading fields are learnt.
+    reflected: (n, s) float32 albedo × direct irradiance of some training lamps, from which the later
+    bounces' leading fields are learnt.
     """
     count, k, regions = len(entries), modes.panes, modes.regions
     size = regions * k
@@ -56,27 +56,20 @@ def make_weights(entries: Entries, transport: Transport, modes: Modes, reflected
             back = modes.basis[rows] * (entries.albedo[rows, c] / root[rows])[:, None]
             again[:, r * k : r * k + k] = first[:, rows] @ back
         operators.append(again)
-    once = first @ reflected
-    fields = []
-    solved = []
-    for again in operators:
-        inverse = np.linalg.inv(np.eye(size, dtype=np.float32) - again)
-        solved.append(inverse)
-        fields.append(inverse @ (again @ once) - 0)
-    fields = np.concatenate(fields, 1)
+    # the second bounce's fields span, all but exactly, those of the bounces that follow it
+    fields = np.concatenate([again @ (first @ reflected) for again in operators], 1)
+    spread = _leading(fields, min(RANK, *fields.shape))
+    eye = np.eye(size, dtype=np.float32)
+    later = np.stack([np.linalg.solve((eye - again).T, spread).T @ again for again in operators])
+    return PaneWeights(first, spread, np.ascontiguousarray(later, np.float32))
+
+
+def _leading(fields: np.ndarray, rank: int, seed: int = 0) -> np.ndarray:
+    """(m, rank) float32 orthonormal basis of the leading directions of the columns of `fields` (m, s).
+
+    Randomised range finder (Halko et al. 2011): exact enough, and far cheaper than an eigenproblem.
+    """
     fields = fields / np.maximum(np.linalg.norm(fields, axis=0), 1e-30)
-    rank = min(RANK, size, fields.shape[1])
-    spread = _leading(fields, rank)
-    later = np.stack([(spread.T @ inverse) @ again for inverse, again in zip(solved, operators, strict=True)])
-    return PaneWeights(first, spread, later)
-
-
-def _leading(fields, rank):
-    """(m, rank) orthonormal basis of the leading directions of the columns of `fields` (m, s)."""
-    if fields.shape[0] <= fields.shape[1]:
-        _, vectors = np.linalg.eigh((fields @ fields.T).astype(np.float64))
-        return np.ascontiguousarray(vectors[:, ::-1][:, :rank], np.float32)
-    values, mixes = np.linalg.eigh((fields.T @ fields).astype(np.float64))
-    values, mixes = values[::-1][:rank], mixes[:, ::-1][:, :rank]
-    good = values > 1e-10 * max(values[0], 1e-30)
-    return np.ascontiguousarray(fields @ (mixes[:, good] / np.sqrt(values[good])), np.float32)
+    mix = np.random.default_rng(seed).standard_normal((fields.shape[1], rank)).astype(np.float32)
+    basis = np.linalg.qr(fields @ mix)[0]
+    return np.linalg.qr(fields @ (fields.T @ basis))[0]

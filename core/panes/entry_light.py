@@ -1,0 +1,127 @@
+"""Direct irradiance of the entries under a lamp, shadows included."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..lights import irradiance
+from ..rays import Tracer
+from ..scene import Light, Scene
+from ..surface import Patches, SurfaceSamples
+from ..transfer import Entries
+
+FEW = 4
+"""Places of an entry that see a lamp; all of them once the lamp is near."""
+
+CLOSE = 3.0
+"""A lamp is near an entry within this many times the entry's size."""
+
+
+@dataclass(frozen=True)
+class EntrySurface:
+    """The entries as lamps see them, all that a relight needs of the scene's shape.
+
+    position, normal: (n × each, 3) float32 places on the entries, lifted off the surface, row-major.
+    albedo: (n, 3) float32. size: (n,) float32, √area, m. pieces: (p, 3, 3) float32 corners, m, of the triangles
+    that make the entries, wound towards the entry's side and sorted by entry; counts: (n,) int32 pieces of each.
+    """
+
+    position: np.ndarray
+    normal: np.ndarray
+    albedo: np.ndarray
+    size: np.ndarray
+    pieces: np.ndarray
+    counts: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.albedo)
+
+    @classmethod
+    def of(cls, entries: Entries, patches: Patches, places: SurfaceSamples, offset: float) -> EntrySurface:
+        """places: (n × each) samples on the entries, row-major; offset: lift, m."""
+        order = np.argsort(patches.patch, kind="stable")
+        count = np.bincount(patches.patch, minlength=len(patches))
+        first = np.cumsum(count) - count
+        counts = count[entries.patch]
+        # every entry's own pieces, one run after another
+        run = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        pieces = patches.corners[order[np.repeat(first[entries.patch], counts) + run]]
+        back = np.repeat(entries.back, counts)
+        pieces[back] = pieces[back][:, ::-1]
+        return cls(
+            position=(places.position + places.flat * np.float32(offset)).astype(np.float32),
+            normal=places.normal,
+            albedo=entries.albedo,
+            size=np.sqrt(entries.area).astype(np.float32),
+            pieces=np.ascontiguousarray(pieces),
+            counts=counts.astype(np.int32),
+        )
+
+
+class EntryLight:
+    """Evaluates lamps at the entries: few places on each, more where the lamp is near, and there the exact solid
+    angle of the entry in place of an average over places, whose noise would otherwise be a wrong brightness."""
+
+    def __init__(self, surface: EntrySurface, tracer: Tracer, seed: int = 0):
+        self.surface = surface
+        self.tracer = tracer
+        self.seed = seed
+        count = len(surface)
+        self.each = len(surface.position) // max(count, 1)
+        self._position = surface.position.reshape(count, self.each, 3)
+        self._normal = surface.normal.reshape(count, self.each, 3)
+        self.few = min(FEW, self.each)
+        # place-major: the first block is one place on every entry
+        self._few = tuple(
+            np.ascontiguousarray(v[:, : self.few].swapaxes(0, 1)).reshape(-1, 3) for v in (self._position, self._normal)
+        )
+        self._first_piece = np.cumsum(surface.counts) - surface.counts
+
+    def unit(self, light: Light) -> np.ndarray:
+        """(n,) or (n, 3) float32 irradiance at unit power (see `lights.irradiance`)."""
+        count = len(self.surface)
+        found = irradiance(light, *self._few, self.tracer.visibility, 1, self.seed)
+        found = found.reshape(self.few, count, *found.shape[1:]).mean(axis=0)
+        near = self._near(light)
+        if len(near):
+            found[near] = self._closely(light, near)
+        return found
+
+    def _near(self, light):
+        if light.kind == "SUN":
+            return np.zeros(0, np.int64)
+        reach = light.radius + 0.5 * max(light.size) * (light.kind == "AREA")
+        apart = np.linalg.norm(self._position[:, 0] - light.position.astype(np.float32), axis=1)
+        return np.flatnonzero(apart < CLOSE * self.surface.size + reach)
+
+    def _closely(self, light, near):
+        position, normal = self._position[near], self._normal[near]
+        places = position.reshape(-1, 3), normal.reshape(-1, 3)
+        found = irradiance(light, *places, self.tracer.visibility, 1, self.seed)
+        found = found.reshape(len(near), self.each, *found.shape[1:]).mean(axis=1)
+        if light.kind == "AREA":
+            return found
+        vectors = light.position.astype(np.float32) - position
+        distance2 = np.einsum("nkd,nkd->nk", vectors, vectors)
+        facing = np.maximum(np.einsum("nkd,nkd->nk", vectors, normal), 0)
+        plain = (facing / (4 * np.pi * distance2**1.5)).mean(axis=1)
+        exact = self._solid_angle(near, light.position) / (4 * np.pi * self.surface.size[near].astype(np.float64) ** 2)
+        # a soft lamp that touches the entry has no solid angle to speak of
+        use = (plain > 0) & (distance2.min(axis=1) > (2 * light.radius) ** 2)
+        scale = np.where(use, exact / np.where(plain > 0, plain, 1), 1).astype(np.float32)
+        return found * (scale if found.ndim == 1 else scale[:, None])
+
+    def _solid_angle(self, entries, place):
+        """(m,) sr that each entry's lit side fills, seen from `place` (Van Oosterom & Strackee 1983)."""
+        counts = self.surface.counts[entries]
+        run = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        pieces = self.surface.pieces[np.repeat(self._first_piece[entries], counts) + run]
+        # float64: slivers cancel
+        a, b, c = np.moveaxis(pieces.astype(np.float64) - place, 1, 0)
+        la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+        volume = -np.einsum("nd,nd->n", a, np.cross(b, c))
+        dots = [np.einsum("nd,nd->n", *pair) for pair in ((a, b), (a, c), (b, c))]
+        angle = 2 * np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * lb + dots[2] * la)
+        return np.bincount(np.repeat(np.arange(len(entries)), counts), np.maximum(angle, 0), len(entries))

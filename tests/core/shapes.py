@@ -1,0 +1,64 @@
+"""Small scenes made in code."""
+
+import numpy as np
+from lightpanes.core.scene import Light, Material, Scene, SceneObject
+
+
+def globe(rings: int = 48, radius: float = 1.0, inward: bool = True, uv: bool = True):
+    """Sphere: positions (V, 3), triangles (T, 3), atlas_uv (T, 3, 2)."""
+    polar, around = np.meshgrid(np.linspace(0, np.pi, rings + 1), np.linspace(0, 2 * np.pi, 2 * rings + 1), indexing="ij")
+    points = radius * np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], -1)
+    flat = np.stack([around / (2 * np.pi), polar / np.pi], -1) * 0.96 + 0.02
+    index = np.arange(polar.size).reshape(polar.shape)
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    triangles = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    if inward:
+        triangles = triangles[:, ::-1]
+    return points.reshape(-1, 3), triangles, flat.reshape(-1, 2)[triangles]
+
+
+def box(low, high, inward: bool = False):
+    """Box: positions (8, 3), triangles (12, 3), atlas_uv (12, 3, 2) with the faces in a 3 × 2 grid."""
+    low, high = np.asarray(low, float), np.asarray(high, float)
+    points = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    faces = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * 0.9 + 0.05
+    cell = np.array([[k % 3, k // 3] for k in range(6)])
+    flat = (corners[None] + cell[:, None]) / np.array([3, 2])
+    triangles = np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])
+    uv = np.concatenate([flat[:, [0, 1, 2]], flat[:, [0, 2, 3]]])
+    if inward:
+        triangles, uv = triangles[:, ::-1], uv[:, ::-1]
+    return points, triangles, uv
+
+
+def scene(*parts, materials=(Material("Grey", (0.5, 0.5, 0.5)),), lights=(), names=None, **more) -> Scene:
+    """Scene of (positions, triangles, atlas_uv, material) parts, each an object with its share of the atlas."""
+    side = int(np.ceil(np.sqrt(len(parts))))
+    points, triangles, uvs, material, owner, count = [], [], [], [], [], 0
+    for k, (p, t, uv, m) in enumerate(parts):
+        points.append(p)
+        triangles.append(t + count)
+        uvs.append((uv + np.array([k % side, k // side])) / side)
+        material.append(np.full(len(t), m))
+        owner.append(np.full(len(t), k))
+        count += len(p)
+    names = names or [f"Object {k}" for k in range(len(parts))]
+    return Scene(
+        np.concatenate(points),
+        np.concatenate(triangles),
+        atlas_uv=np.concatenate(uvs),
+        triangle_material=np.concatenate(material),
+        triangle_object=np.concatenate(owner),
+        materials=materials,
+        objects=[SceneObject(n) for n in names],
+        lights=lights,
+        **more,
+    )
+
+
+def lamp(place, power=100.0, kind="POINT", **more) -> Light:
+    """A lamp at `place`, shining down."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = place
+    return Light("Lamp", kind, matrix, np.broadcast_to(power, 3), **more)
