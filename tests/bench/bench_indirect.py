@@ -46,7 +46,7 @@ def sample_rows(name: str) -> list[dict]:
 
 def compare_sample(name: str, scene, result) -> list[tuple[scenes.Setting, metrics.Comparison]]:
     """Each setting of the open sample, relit by `result`, against Cycles."""
-    relighter = Relighter(result, Tracer(scene))
+    relighter = Relighter(result.panes(), Tracer(scene))
     steady = relighter.relight(())[..., :3].copy()
     found = []
     for setting, lights in scenes.settings(name):
