@@ -186,7 +186,9 @@ class Scene:
     def _validate(self):
         count = len(self.triangles)
         if count == 0:
-            raise SceneError("There are no faces to bake: the scene has no visible mesh. Add one, or turn on its camera icon in the Outliner.")
+            raise SceneError(
+                "There are no faces to bake: the scene has no visible mesh. Add one, or turn on its camera icon in the Outliner."
+            )
         for name in ("triangle_material", "triangle_object", "atlas_uv"):
             if len(getattr(self, name)) != count:
                 raise SceneError(f"{name} has {len(getattr(self, name))} rows for {count} triangles.")
@@ -200,12 +202,16 @@ class Scene:
         if bad.any():
             owners = np.unique(self.triangle_object[bad[self.triangles].any(axis=1)])
             names = ", ".join(f"'{self.objects[i].name}'" for i in owners) or "an object"
-            raise SceneError(f"{names} has vertices that are not numbers (NaN or infinite); run Mesh > Clean Up > Delete Loose on it, or undo the edit that broke it.")
+            raise SceneError(
+                f"{names} has vertices that are not numbers (NaN or infinite); run Mesh > Clean Up > Delete Loose on it, or undo the edit that broke it."
+            )
 
     def _drop_degenerate(self, cross):
         # float64: the square of a small edge underflows float32 in millimetre scenes
         area2 = np.linalg.norm(cross.astype(np.float64), axis=1)
-        edges = np.linalg.norm(np.diff(self.positions[self.triangles][:, [0, 1, 2, 0]].astype(np.float64), axis=1), axis=2)
+        edges = np.linalg.norm(
+            np.diff(self.positions[self.triangles][:, [0, 1, 2, 0]].astype(np.float64), axis=1), axis=2
+        )
         keep = area2 > 1e-7 * edges.max(axis=1) ** 2
         if keep.all():
             return

@@ -1,7 +1,8 @@
 """What a bake is, how it is made, saved and loaded."""
 
 from ..planner import Settings
+from .clock import Progress
 from .record import Bake, BakeError
-from .run import Progress, bake
+from .run import bake
 
 __all__ = ["Bake", "BakeError", "Progress", "Settings", "bake"]

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..lights import irradiance
 from ..rays import Tracer
-from ..scene import Light, Scene
+from ..scene import Light
 from ..surface import Patches, SurfaceSamples
 from ..transfer import Entries
 

@@ -33,7 +33,9 @@ class Modes:
     makers: np.ndarray
 
 
-def training_fields(entries: Entries, transport: Transport, direct: np.ndarray, bounces: int = 2) -> tuple[np.ndarray, np.ndarray]:
+def training_fields(
+    entries: Entries, transport: Transport, direct: np.ndarray, bounces: int = 2
+) -> tuple[np.ndarray, np.ndarray]:
     """Radiosities X (n, s) under each lamp and the indirect fields Y = F X (n, s), scaled to mean 1.
 
     direct: (n, s) irradiance. Lamps take turns with red, green and blue albedo, since panes are shared by
@@ -52,9 +54,7 @@ def training_fields(entries: Entries, transport: Transport, direct: np.ndarray, 
     return radiosity[:, lit] * scale, field[:, lit] * scale
 
 
-def learn_modes(
-    entries: Entries, region: np.ndarray, radiosity: np.ndarray, field: np.ndarray, panes: int
-) -> Modes:
+def learn_modes(entries: Entries, region: np.ndarray, radiosity: np.ndarray, field: np.ndarray, panes: int) -> Modes:
     """The leading `panes` modes of each region's part of the fields (n, s)."""
     regions = int(region.max()) + 1
     root = np.sqrt(entries.area / entries.area.mean()).astype(np.float32)[:, None]

@@ -26,7 +26,7 @@ def make_regions(points: np.ndarray, area: np.ndarray, count: int, seed: int = 0
         weight = np.bincount(region, area, count)
         sums = np.stack([np.bincount(region, area * points[:, k], count) for k in range(points.shape[1])], 1)
         centre = np.where(weight[:, None] > 0, sums / np.maximum(weight, 1e-30)[:, None], centre).astype(np.float32)
-    used, region = np.unique(nearest(points, centre), return_inverse=True)
+    _, region = np.unique(nearest(points, centre), return_inverse=True)
     return region.reshape(-1).astype(np.int32)
 
 

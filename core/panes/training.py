@@ -20,7 +20,9 @@ NEAR = (0.005, 0.045)
 """Least and most distance of near lamps from the surface below, in parts of the scene's extent."""
 
 
-def free_air(points: SurfaceSamples, bvh: Bvh, extent: float, seed: int, near: tuple[float, float] | None = None) -> np.ndarray:
+def free_air(
+    points: SurfaceSamples, bvh: Bvh, extent: float, seed: int, near: tuple[float, float] | None = None
+) -> np.ndarray:
     """(n, 3) float32 places in the air, one above each of `points`.
 
     near: (least, most) distance in m from the surface below; None for anywhere along a cosine ray.
@@ -105,7 +107,7 @@ def illuminate(
     each: int,
     tracer: Tracer,
     seed: int,
-    tick: Callable[[int], None] | None = None,
+    tick: Callable[[], None] | None = None,
 ) -> np.ndarray:
     """(n, lamps) float32 direct irradiance of unit lamps at n entries, each seen at `each` of its places.
 
@@ -120,7 +122,7 @@ def illuminate(
         found = irradiance(lamps[k], position, points.normal[rows], tracer.visibility, 1, seed + k)
         result[:, k] = found if found.ndim == 1 else found.mean(axis=1)
         if tick is not None:
-            tick(0)
+            tick()
 
     in_threads(one, range(len(lamps)))
     return result

@@ -136,7 +136,9 @@ class Gatherer:
             odds = self._transmission.at(self._patches.parent[piece], parent[:, 1], parent[:, 2]).mean(axis=1)
             # the direction's own bits decide, so that the choice depends on neither chunk nor thread
             bits = np.ascontiguousarray(ahead[index]).view(np.uint32).astype(np.uint64)
-            dice = hash_uniform(bits[:, 0] ^ (bits[:, 1] << np.uint64(20)) ^ (bits[:, 2] << np.uint64(32)), 11 + layer, 0)
+            dice = hash_uniform(
+                bits[:, 0] ^ (bits[:, 1] << np.uint64(20)) ^ (bits[:, 2] << np.uint64(32)), 11 + layer, 0
+            )
             on = index[dice < odds]
             step = (hits.distance[on] + self.offset)[:, None]
             rows, start, ahead = rows[on], start[on] + ahead[on] * step, ahead[on]

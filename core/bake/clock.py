@@ -1,0 +1,72 @@
+"""Progress of a bake and the seconds of its stages."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Progress:
+    """stage: what is being done. fraction: of the whole bake, in [0, 1]. rays: traced so far."""
+
+    stage: str
+    fraction: float
+    rays: int
+
+
+class Clock:
+    """Reports progress and remembers the seconds of each stage.
+
+    progress: called with a Progress; an exception that it raises passes through and cancels the bake.
+    """
+
+    STAGES = {
+        "Surfaces": 0.03,
+        "Entries": 0.10,
+        "Transport": 0.40,
+        "Lamps": 0.52,
+        "Panes": 0.64,
+        "Exits": 0.97,
+        "Check": 1.0,
+    }
+    """Where in the whole each stage ends."""
+
+    def __init__(self, progress: Callable[[Progress], None] | None = None):
+        self.progress = progress
+        self.seconds: dict[str, float] = {}
+        self.rays = 0
+        self.began = time.perf_counter()
+        self._stage, self._stage_began = "", self.began
+        self._done, self._total = 0, 1
+
+    @property
+    def spent(self) -> float:
+        """s since the bake began."""
+        return time.perf_counter() - self.began
+
+    def start(self, stage: str, steps: int = 1) -> None:
+        """Begin one of STAGES, which will tick `steps` steps (rays, where it traces)."""
+        self.stop()
+        self._stage, self._stage_began = stage, time.perf_counter()
+        self._done, self._total = 0, max(steps, 1)
+        self.tick(0)
+
+    def stop(self) -> None:
+        """End the stage."""
+        if self._stage:
+            self.seconds[self._stage] = round(time.perf_counter() - self._stage_began, 4)
+            self._stage = ""
+
+    def tick(self, steps: int, rays: int | None = None) -> None:
+        """Steps done since the last tick; they are rays unless said otherwise."""
+        self.rays += steps if rays is None else rays
+        self._done += steps
+        if self.progress is None:
+            return
+        names = list(self.STAGES)
+        at = names.index(self._stage)
+        low = self.STAGES[names[at - 1]] if at else 0.0
+        part = min(self._done / self._total, 1.0)
+        self.progress(Progress(self._stage, low + (self.STAGES[self._stage] - low) * part, self.rays))

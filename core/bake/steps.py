@@ -1,0 +1,197 @@
+"""The parts of a bake up to its panes: surfaces, entries, transport, training lamps, modes, weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..lights import sky_radiance
+from ..panes.modes import Modes, learn_modes, training_fields
+from ..panes.regions import features, make_regions, nearest
+from ..panes.training import illuminate, training_lamps
+from ..panes.weights import PaneWeights, make_weights
+from ..planner import Budget, Settings, plan
+from ..rays import Bvh, Tracer
+from ..scene import Scene
+from ..surface import Patches, SurfaceSamples, Texels, make_patches, make_texels
+from ..transfer import Entries, Gatherer, Transport, find_entries, make_gatherer, make_transport
+from ..transfer.entries import MAX_ALBEDO
+from .clock import Clock
+
+PLACES = 16
+"""Places on each entry where lamps are evaluated at run time."""
+
+SKY_BINS = (32, 64)
+"""Bins of a sky that is not uniform: rows of equal solid angle, columns."""
+
+TEST_LAMPS = 24
+"""Held-out lamps that measure the panes' error at the end of a bake."""
+
+
+@dataclass
+class Prepared:
+    """Everything but the exits' gather.
+
+    exits: valid texels, sorted by region; starts: (regions + 1,) where each region's exits begin. buried: how
+    many texels lie inside solid things. tables: (regions, ids, c) what a ray that lands on an id brings: the
+    region's modes, then, where the scene has light that no lamp changes, its bounces (3) and its first hit (3).
+    test_direct: (n, TEST_LAMPS) irradiance of held-out lamps.
+    """
+
+    scene: Scene
+    budget: Budget
+    patches: Patches
+    bvh: Bvh
+    tracer: Tracer
+    entries: Entries
+    gatherer: Gatherer
+    transport: Transport
+    places: SurfaceSamples
+    modes: Modes
+    weights: PaneWeights
+    exits: Texels
+    starts: np.ndarray
+    tables: np.ndarray
+    test_direct: np.ndarray
+    buried: int
+    warnings: list[str]
+
+    @property
+    def has_steady_light(self) -> bool:
+        return self.tables.shape[2] > self.modes.panes
+
+
+def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Prepared:
+    """Run all stages up to the exits' gather. Raises SceneError for scenes that cannot be baked."""
+    clock = clock or Clock()
+    seed = settings.seed
+    budget = plan(scene, settings)
+
+    clock.start("Surfaces")
+    warnings = list(scene.warnings)
+    texels = make_texels(scene, settings.resolution)
+    patches = make_patches(scene, budget.entries, seed)
+    bvh = Bvh(patches.corners)
+    tracer = Tracer(scene)
+
+    clock.start("Entries")
+    entries, buried = find_entries(scene, patches, bvh, texels.samples, tracer.offset, seed)
+    if buried.all():
+        buried[:] = False
+        warnings.append("Every texel lies inside a closed object; put a lamp inside the room, or flip its normals.")
+    texels = texels.keep(~buried)
+    warnings += _too_white(scene, patches)
+    sky, bins = scene.sky, (1, 1)
+    if sky is not None and sky.radiance.shape[:2] != (1, 1):
+        bins = SKY_BINS
+    gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
+
+    clock.start("Transport", len(entries) * budget.entry_rays)
+    transport = make_transport(scene, patches, entries, gatherer, budget.entry_rays, seed, clock.tick)
+
+    places = entries.points(scene, patches, PLACES, seed + 5)
+    lamps = training_lamps(scene, places, bvh, budget.lamps, seed + 6)
+    clock.start("Lamps", len(lamps))
+    direct = illuminate(lamps, places, PLACES, tracer, seed, lambda: clock.tick(1, len(entries)))
+    test = training_lamps(scene, places, bvh, TEST_LAMPS, seed + 1006)
+    test_direct = illuminate(test, places, PLACES, tracer, seed + 1000)
+
+    clock.start("Panes", 4)
+    radiosity, field = training_fields(entries, transport, direct)
+    clock.tick(1, 0)
+    points = features(entries.position, entries.normal, scene.extent)
+    region = make_regions(points, entries.area, budget.regions, seed)
+    modes = learn_modes(entries, region, radiosity, field, budget.panes)
+    clock.tick(1, 0)
+    weights = make_weights(entries, transport, modes, entries.albedo.mean(axis=1, keepdims=True) * direct[:, ::8])
+    clock.tick(1, 0)
+    steady, shine = _steady_light(sky, bins, entries, transport)
+    own = _own_region(texels.samples, bvh, entries, patches, region, points, scene.extent, tracer.offset)
+    exits = texels.keep(np.lexsort((texels.index, own)))
+    starts = np.concatenate([[0], np.cumsum(np.bincount(own, minlength=modes.regions))])
+    tables = _tables(modes, steady, shine, gatherer.size)
+    return Prepared(
+        scene, budget, patches, bvh, tracer, entries, gatherer, transport, places, modes, weights,
+        exits, starts, tables, test_direct, int(buried.sum()), warnings,
+    )  # fmt: skip
+
+
+def _too_white(scene, patches):
+    """Warnings for albedos that the solve lowers."""
+    white = (patches.albedo > MAX_ALBEDO).any(axis=1)
+    if not white.any():
+        return []
+    material = np.unique(scene.triangle_material[patches.parent[white[patches.patch]]])
+    names = ", ".join(f"'{scene.materials[m].name}'" for m in material)
+    return [f"Albedo above {MAX_ALBEDO} is lowered to {MAX_ALBEDO} (the light would never fade): {names}."]
+
+
+def _steady_light(sky, bins, entries, transport):
+    """Light that no lamp changes: radiosity beyond what is emitted (n, 3), and what shines (ids, 3), or None."""
+    emitted = entries.radiosity
+    if (sky is None or sky.is_black) and not emitted.any():
+        return None, None
+    count = len(entries)
+    from_sky = np.zeros((transport.sky.shape[1], 3), np.float32)
+    if sky is not None:
+        from_sky = np.float32(np.pi) * _bin_radiance(sky, bins)
+    source = emitted + entries.albedo * (transport.sky @ from_sky)
+    radiosity = np.stack(
+        [transport.solve(entries.albedo[:, c : c + 1], source[:, c : c + 1])[:, 0] for c in range(3)], 1
+    )
+    shine = np.zeros((count + 1 + len(from_sky), 3), np.float32)
+    shine[:count] = emitted
+    shine[count + 1 :] = from_sky
+    return radiosity - emitted, shine
+
+
+def _bin_radiance(sky, bins):
+    """(bins, 3) float32 mean radiance of each of the sky's bins."""
+    if bins == (1, 1):
+        return sky.radiance.reshape(-1, 3).mean(axis=0, keepdims=True)
+    fine = 8
+    rows, columns = bins
+    z = (np.arange(rows * fine, dtype=np.float32) + 0.5) * np.float32(2 / (rows * fine)) - 1
+    around = np.float32(2 * np.pi) * (0.5 - (np.arange(columns * fine, dtype=np.float32) + 0.5) / (columns * fine))
+    z, around = np.meshgrid(z, around, indexing="ij")
+    ring = np.sqrt(1 - z * z)
+    directions = np.stack([ring * np.cos(around), ring * np.sin(around), z], -1).reshape(-1, 3)
+    radiance = sky_radiance(sky, directions.astype(np.float32))
+    return radiance.reshape(rows, fine, columns, fine, 3).mean(axis=(1, 3)).reshape(-1, 3)
+
+
+def _tables(modes, steady, shine, ids):
+    """(regions, ids, c): what a ray that lands on an id brings: the region's modes, then the steady shares."""
+    count, k = len(modes.basis), modes.panes
+    extra = 0 if steady is None else 6
+    tables = np.zeros((modes.regions, ids, k + extra), np.float32)
+    tables[:, :count, :k] = modes.makers.reshape(count, modes.regions, k).swapaxes(0, 1)
+    if extra:
+        tables[:, :count, k : k + 3] = steady
+        tables[:, :, k + 3 :] = shine
+    return tables
+
+
+def _own_region(samples, bvh, entries, patches, region, points, extent, offset):
+    """(t,) region of each exit: that of the entry it lies on, else of the nearest."""
+    lift = np.float32(4 * offset)
+    triangle = np.concatenate(
+        [
+            bvh.closest(
+                np.ascontiguousarray(samples.position[s] + samples.flat[s] * lift),
+                np.ascontiguousarray(-samples.flat[s]),
+            )
+            for s in (slice(i, i + 65536) for i in range(0, len(samples), 65536))
+        ]
+    )
+    cross = np.cross(patches.corners[:, 1] - patches.corners[:, 0], patches.corners[:, 2] - patches.corners[:, 0])
+    front = np.einsum("nd,nd->n", cross[triangle], samples.flat) > 0
+    patch = patches.patch[triangle]
+    entry = np.where(front, entries.front_id[patch], entries.back_id[patch])
+    own = np.append(region, 0)[entry]
+    lost = np.flatnonzero((triangle < 0) | (entry == len(entries)) | (patches.parent[triangle] != samples.triangle))
+    if len(lost):
+        near = nearest(features(samples.position[lost], samples.flat[lost], extent), points)
+        own[lost] = region[near]
+    return own
