@@ -8,7 +8,7 @@ used: it took 1 s to 90 s for three objects where shapes are concave, and filled
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -17,7 +17,8 @@ import numpy as np
 
 from ..core.scene import SceneError
 from . import visibility
-from .meshes import LAYER, read_attribute, weight_of
+from .charts import lay_flat, next_loop
+from .meshes import LAYER, loop_triangles, read_attribute, weight_of
 from .packing import MARGIN, Charts, pack
 
 ANGLE_LIMIT = np.radians(66.0)
@@ -48,26 +49,27 @@ class _Mesh:
         return len(self.users) > 1
 
 
-def receivers(context: bpy.types.Context, warnings: list[str]) -> list[bpy.types.Object]:
-    """Objects that can have a place in the atlas: meshes with faces that render and aren't excluded."""
+def receivers(context: bpy.types.Context, objects: Iterable[bpy.types.Object], warnings: list[str]) -> list:
+    """Those of the objects that can have a place in the atlas: meshes with faces that render, not excluded."""
+    rendered = visibility.rendered_objects(context.view_layer)
     found = []
-    for obj in sorted(visibility.rendered_objects(context.view_layer), key=lambda obj: obj.name):
+    for obj in sorted(rendered.intersection(objects), key=lambda obj: obj.name):
         if obj.type != "MESH" or getattr(getattr(obj, "lightpanes", None), "exclude", False):
-            continue
-        if not obj.data.polygons and obj.mode != "EDIT":
             continue
         if obj.library or obj.data.library:
             warnings.append(
                 f"'{obj.name}' comes from a linked library, so it blocks and reflects light but receives none: "
                 "use Object > Relations > Make Local > Selected Objects and Data."
             )
-            continue
-        found.append(obj)
+        elif obj.mode == "EDIT":
+            raise SceneError(f"'{obj.name}' is in Edit Mode: leave it (Tab) and bake again.")
+        elif obj.data.polygons:
+            found.append(obj)
     return found
 
 
-def make_atlas(context: bpy.types.Context, objects: list[bpy.types.Object], resolution: int) -> list[str]:
-    """Give each mesh object a place in one atlas of resolution² texels; returns warnings.
+def make_atlas(context: bpy.types.Context, objects: Iterable[bpy.types.Object], resolution: int) -> list[str]:
+    """Give each of the objects that can receive light a place in one atlas of resolution² texels; returns warnings.
 
     Makes or updates the UV layer `Lightpanes` of their meshes and the custom properties
     lightpanes_scale, _offset and _baked; every other object of the scene loses those. Objects that
@@ -76,9 +78,10 @@ def make_atlas(context: bpy.types.Context, objects: list[bpy.types.Object], reso
     apart. Raises SceneError, naming the object and what to do, before anything has changed.
     """
     warnings: list[str] = []
+    objects = receivers(context, objects, warnings)
+    if not objects:
+        raise SceneError("No object can receive light: add a mesh with faces that renders, or clear Exclude on one.")
     meshes = _gather(context, objects)
-    if not meshes:
-        raise SceneError("No object can receive light: add a mesh with faces, or clear Exclude on one.")
     layouts, places = _lay_out(meshes, _unwrap(context, meshes), resolution, warnings)
     for mesh, uv in zip(meshes, layouts, strict=True):
         _write_layer(mesh.data, uv)
@@ -127,12 +130,6 @@ def remember(context: bpy.types.Context, objects: list[bpy.types.Object]) -> Cal
 def _gather(context, objects) -> list[_Mesh]:
     users: dict[bpy.types.Mesh, list] = {}
     for obj in objects:
-        if obj.mode == "EDIT":
-            raise SceneError(f"'{obj.name}' is in Edit Mode: leave it (Tab) and bake again.")
-        if obj.data.library:
-            raise SceneError(
-                f"The mesh of '{obj.name}' is linked from a library and cannot get a UV layer: make it local or exclude the object."
-            )
         layers = obj.data.uv_layers
         if LAYER not in layers and len(layers) >= 8:
             raise SceneError(
@@ -140,8 +137,7 @@ def _gather(context, objects) -> list[_Mesh]:
             )
         if LAYER not in layers and LAYER in obj.data.attributes:
             raise SceneError(f"'{obj.name}' has an attribute named '{LAYER}' that is not a UV layer: rename it.")
-        if len(obj.data.polygons):
-            users.setdefault(obj.data, []).append(obj)
+        users.setdefault(obj.data, []).append(obj)
     depsgraph = context.evaluated_depsgraph_get()
     meshes = []
     for data, owners in users.items():
@@ -166,9 +162,8 @@ def _gather(context, objects) -> list[_Mesh]:
 def _area(positions, corners, faces) -> float:
     """Area of all polygons: Newell's vectors, exact for planar ones."""
     points = positions[corners]
-    after = np.arange(1, len(corners) + 1)
-    after[np.append(faces[1:], len(corners)) - 1] = faces
-    return float(np.linalg.norm(np.add.reduceat(np.cross(points, points[after]), faces), axis=1).sum() / 2)
+    after = points[next_loop(faces, len(corners))]
+    return float(np.linalg.norm(np.add.reduceat(np.cross(points, after), faces), axis=1).sum() / 2)
 
 
 @contextmanager
@@ -236,121 +231,21 @@ def _unwrap(context, meshes) -> list[np.ndarray]:
         ]
 
 
-def _charts_of(vertices, uv, faces, counts) -> np.ndarray:
-    """(L,) chart of each loop: faces that share a vertex at the same UV are one chart."""
-    quantum = np.round(np.clip(uv, 0, 1) * ((1 << 20) - 1)).astype(np.int64)
-    _, key = np.unique((vertices.astype(np.int64) << 40) | (quantum[:, 0] << 20) | quantum[:, 1], return_inverse=True)
-    key = key.ravel()
-    label = np.arange(key.max() + 1)
-    while True:
-        lowest = np.minimum.reduceat(label[key], faces)
-        new = label.copy()
-        np.minimum.at(new, key, np.repeat(lowest, counts))
-        new = new[new]
-        if np.array_equal(new, label):
-            return np.unique(label[key], return_inverse=True)[1].ravel()
-        label = new
-
-
-def _true_size(positions, uv, triangles, chart, count):
-    """UVs in metres: each chart's best affine map from its projection to its surface, in mean metric.
-
-    Returns (L, 2) UVs and (count,) world areas.
-    """
-    p, q = positions[triangles], uv[triangles]
-    e, f = p[:, 1:] - p[:, :1], q[:, 1:] - q[:, :1]
-    area = np.linalg.norm(np.cross(e[:, 0], e[:, 1]), axis=1) / 2
-    flat = (f[:, 0, 0] * f[:, 1, 1] - f[:, 0, 1] * f[:, 1, 0]) / 2
-    owner = chart[triangles[:, 0]]
-    # triangles seen edge-on have no inverse; a tenth of their area is as steep as a 66° projection leaves
-    good = np.abs(flat) > 1e-12
-    inverse = np.zeros_like(f)
-    inverse[good] = np.linalg.inv(f[good])
-    metric = inverse @ (e @ e.transpose(0, 2, 1)) @ inverse.transpose(0, 2, 1)
-    weight = np.where(good, area, 0.0)
-    total = np.bincount(owner, weight, count)
-    g = np.stack([np.bincount(owner, weight * metric[:, i, j], count) for i, j in ((0, 0), (0, 1), (1, 1))], axis=1)
-    g /= np.maximum(total, 1e-300)[:, None]
-    g[total <= 0] = 1, 0, 1
-    root = np.sqrt(np.maximum(g[:, 0] * g[:, 2] - g[:, 1] ** 2, 0))
-    norm = np.sqrt(np.maximum(g[:, 0] + g[:, 2] + 2 * root, 1e-300))
-    a = np.stack([(g[:, 0] + root) / norm, g[:, 1] / norm, (g[:, 2] + root) / norm], axis=1)
-    world = np.bincount(owner, area, count)
-    covered = np.bincount(owner, np.abs(flat), count) * np.abs(a[:, 0] * a[:, 2] - a[:, 1] ** 2)
-    a *= np.sqrt(np.where(covered > 0, world / np.maximum(covered, 1e-300), 1.0))[:, None]
-    a = a[chart]
-    mapped = np.stack([uv[:, 0] * a[:, 0] + uv[:, 1] * a[:, 1], uv[:, 0] * a[:, 1] + uv[:, 1] * a[:, 2]], axis=1)
-    return mapped, world
-
-
-def _upright(points, chart, count):
-    """Turn each chart to its smallest box (in steps of 2.5°) and move its corner to the origin."""
-    best, angle = np.full(count, np.inf), np.zeros(count)
-    order = np.argsort(chart, kind="stable")
-    starts = np.searchsorted(chart[order], np.arange(count))
-    # angles of the first edges are tried as well by the rectangle's own sides: charts come axis-aligned
-    for theta in np.radians(np.arange(0, 90, 2.5)):
-        turned = _turn(points, np.full(len(points), theta))[order]
-        box = np.maximum.reduceat(turned, starts) - np.minimum.reduceat(turned, starts)
-        size = box.prod(axis=1)
-        better = size < best * (1 - 1e-3)
-        best[better], angle[better] = size[better], theta
-    turned = _turn(points, angle[chart])
-    return turned - np.minimum.reduceat(turned[order], starts)[chart]
-
-
-def _turn(points, angle):
-    c, s = np.cos(angle), np.sin(angle)
-    return np.stack([c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]], axis=1)
-
-
-def _triangles(data) -> np.ndarray:
-    """(T, 3) loops."""
-    data.calc_loop_triangles()
-    loops = np.empty(len(data.loop_triangles) * 3, np.int32)
-    data.loop_triangles.foreach_get("loops", loops)
-    return loops.reshape(-1, 3)
-
-
-@dataclass
-class _Layout:
-    """Charts of one mesh: loops' points (L, 2) in metres, edges between loops, chart of each loop, areas."""
-
-    points: np.ndarray
-    edges: np.ndarray
-    chart: np.ndarray
-    areas: np.ndarray
-
-    @property
-    def charts(self) -> Charts:
-        count = len(self.areas)
-        return Charts(self.points, self.edges, self.chart[self.edges[:, 0]], count, np.ones(count, bool))
-
-
-def _layout(mesh: _Mesh, uv: np.ndarray) -> _Layout:
-    counts = np.diff(np.append(mesh.faces, len(mesh.corners)))
-    chart = _charts_of(mesh.corners, uv, mesh.faces, counts)
-    count = int(chart.max()) + 1
-    points, areas = _true_size(mesh.positions[mesh.corners], uv, _triangles(mesh.data), chart, count)
-    points = _upright(points, chart, count)
-    after = np.arange(1, len(mesh.corners) + 1)
-    after[np.append(mesh.faces[1:], len(mesh.corners)) - 1] = mesh.faces
-    return _Layout(points, np.stack([np.arange(len(after)), after], axis=1), chart, areas)
-
-
 def _lay_out(meshes, unwrapped, resolution, warnings):
     """The layer's UVs per mesh and each object's (scale, offset)."""
-    layouts = [_layout(mesh, uv) for mesh, uv in zip(meshes, unwrapped, strict=True)]
+    layouts = [
+        lay_flat(mesh.positions, mesh.corners, mesh.faces, loop_triangles(mesh.data), uv)
+        for mesh, uv in zip(meshes, unwrapped, strict=True)
+    ]
     grid = min(resolution, LARGEST_GRID)
     total = sum(layout.areas.sum() * (mesh.ratios**2).sum() for mesh, layout in zip(meshes, layouts, strict=True))
     if total <= 0:
         raise SceneError("Every face has zero area; scale the objects up or apply their scale.")
     chart_count = sum(len(layout.areas) * len(mesh.users) for mesh, layout in zip(meshes, layouts, strict=True))
-    density = np.sqrt(0.9 * grid * grid / total)
-    packed = None
-    smallest = 0.05 * density
-    low, high = None, density
-    while (low is None and density > smallest) or (low is not None and high / low > 1.015):
+    density = high = _densest(meshes, layouts, total, chart_count, grid)
+    smallest = 0.2 * density
+    packed = low = None
+    while (low is None and density > smallest) or (low is not None and high / low > 1.02):
         attempt = _attempt(meshes, layouts, density, grid)
         if attempt is None:
             high = density
@@ -362,6 +257,19 @@ def _lay_out(meshes, unwrapped, resolution, warnings):
     density = low * resolution / grid
     _check_sizes(meshes, layouts, density, resolution, total, chart_count, warnings)
     return packed
+
+
+def _densest(meshes, layouts, total, chart_count, grid) -> float:
+    """Cells per metre at which charts and their margins would fill the atlas without a gap; 0 if they can't."""
+    border = 0.0
+    for mesh, layout in zip(meshes, layouts, strict=True):
+        corner = np.zeros((len(layout.areas), 2))
+        np.maximum.at(corner, layout.chart, layout.points)
+        border += 2 * MARGIN * corner.sum() * mesh.ratios.sum()
+    free = grid * grid - (2 * MARGIN) ** 2 * chart_count
+    if free <= 0:
+        return 0.0
+    return float((np.sqrt(border**2 + 4 * total * free) - border) / (2 * total))
 
 
 def _too_small(meshes, chart_count, resolution) -> str:
@@ -521,6 +429,6 @@ def _warn_overlaps(context, meshes, warnings) -> None:
 def _uv_area(data) -> float:
     if not len(data.polygons):
         return 0.0
-    uv = read_attribute(data, LAYER, len(data.loops), 2, "vector", np.float32)[_triangles(data)].astype(np.float64)
+    uv = read_attribute(data, LAYER, len(data.loops), 2, "vector", np.float32)[loop_triangles(data)].astype(np.float64)
     e, f = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
     return float(np.abs(e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]).sum() / 2)

@@ -150,7 +150,9 @@ class _Studio:
                         node.inputs["Base Color"].default_value = colour
                         node.inputs["Specular IOR Level"].default_value = 0.0
             for node in list(copy.node_tree.nodes):
-                if node.type == "BSDF_PRINCIPLED":
+                if "lightpanes" in node:
+                    copy.node_tree.nodes.remove(node)
+                elif node.type == "BSDF_PRINCIPLED":
                     _count_gloss(copy.node_tree, node)
             self.copies[material] = copy
         return self.copies[material]

@@ -81,9 +81,9 @@ def look(material: bpy.types.Material | None, warnings: list[str]) -> Look:
         return Look(GREY, BLACK, BLACK)
     tree = material.node_tree
     # use_nodes is always on, and deprecated, from 5.0
-    if tree is None or (bpy.app.version < (5, 0) and not material.use_nodes):
+    if tree is None or "lightpanes_no_nodes" in material or (bpy.app.version < (5, 0) and not material.use_nodes):
         return Look(np.array(material.diffuse_color[:3]), BLACK, BLACK)
-    output = tree.get_output_node("CYCLES")
+    output = surface_output(tree)
     if output is None:
         return Look(BLACK, BLACK, BLACK)
     _warn_unsupported(material, output, warnings)
@@ -91,6 +91,14 @@ def look(material: bpy.types.Material | None, warnings: list[str]) -> Look:
         # a volume alone has no surface to stop at
         return Look(BLACK, BLACK, WHITE if output.inputs["Volume"].is_linked else BLACK)
     return _shader(source(output.inputs["Surface"]), material.name, warnings)
+
+
+def surface_output(tree: bpy.types.NodeTree) -> bpy.types.Node | None:
+    """The output that Cycles reads, or would read but for ours, which only shows what was baked."""
+    output = tree.get_output_node("CYCLES")
+    if output is not None and "lightpanes" in output:
+        return tree.nodes.get(output.get("lightpanes_former", ""))
+    return output
 
 
 def _warn_unsupported(material, output, warnings) -> None:

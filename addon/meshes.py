@@ -72,3 +72,11 @@ def read_attribute(mesh, name: str, count: int, width: int, field: str, dtype) -
     values = np.empty(count * width, dtype)
     mesh.attributes[name].data.foreach_get(field, values)
     return values.reshape(count, width) if width > 1 else values
+
+
+def loop_triangles(mesh: bpy.types.Mesh) -> np.ndarray:
+    """(T, 3) int32 loops of the mesh's triangles."""
+    mesh.calc_loop_triangles()
+    loops = np.empty(len(mesh.loop_triangles) * 3, np.int32)
+    mesh.loop_triangles.foreach_get("loops", loops)
+    return loops.reshape(-1, 3)

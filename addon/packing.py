@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 MARGIN = 1  # cells around each chart; two neighbours make two cells
+COLUMNS = 32  # a chart wider than this is tried in steps, this many to its width
+EMPTY = np.iinfo(np.int32).max // 2
 
 
 @dataclass
@@ -57,7 +59,7 @@ class Placement:
 
 
 def _profiles(points, edges, edge_chart, count, axis, extent):
-    """Per chart the lowest and highest cell touched in each column: two flat int arrays and their starts."""
+    """Lowest and highest cell touched in each column, of all charts in a row: two int arrays, and the starts."""
     a, b = points[edges[:, 0]], points[edges[:, 1]]
     swap = a[:, axis] > b[:, axis]
     a, b = np.where(swap[:, None], b, a), np.where(swap[:, None], a, b)
@@ -78,25 +80,24 @@ def _profiles(points, edges, edge_chart, count, axis, extent):
     upright = (x1 - x0)[owner] < 1e-9
     low, high = np.where(upright, y0[owner], low), np.where(upright, y1[owner], high)
     low, high = np.minimum(low, high), np.maximum(low, high)
-    widths = extent[:, axis]
+    # every chart has its columns and 2·MARGIN empty ones to each side, so that shifts stay within it
+    widths = extent[:, axis] + 4 * MARGIN
     starts = np.concatenate([[0], np.cumsum(widths)])
-    bottom = np.full(starts[-1], np.iinfo(np.int32).max, np.int64)
-    top = np.full(starts[-1], -1, np.int64)
-    cell = starts[edge_chart[owner]] + column
-    np.minimum.at(bottom, cell, np.floor(low + 1e-6).astype(np.int64))
-    np.maximum.at(top, cell, np.ceil(high - 1e-6).astype(np.int64))
-    return np.maximum(bottom, 0), np.maximum(top, bottom + 1), starts
+    bottom, top = np.full(starts[-1], EMPTY, np.int32), np.full(starts[-1], -1, np.int32)
+    cell = starts[edge_chart[owner]] + column + 2 * MARGIN
+    np.minimum.at(bottom, cell, np.maximum(np.floor(low + 1e-6), 0).astype(np.int32))
+    np.maximum.at(top, cell, np.ceil(high - 1e-6).astype(np.int32))
+    top = np.where(bottom == EMPTY, top, np.maximum(top, bottom + 1))
+    return bottom, top, starts
 
 
-def _grow(bottom, top):
-    """A chart's profile with MARGIN cells all round, its lowest cell at 0."""
-    padded_bottom = np.pad(bottom, 2 * MARGIN, constant_values=np.iinfo(np.int32).max)
-    padded_top = np.pad(top, 2 * MARGIN, constant_values=-1)
-    window = 2 * MARGIN + 1
-    return (
-        np.lib.stride_tricks.sliding_window_view(padded_bottom, window).min(axis=1),
-        np.lib.stride_tricks.sliding_window_view(padded_top, window).max(axis=1) + 2 * MARGIN,
-    )
+def _grow(bottom, top, starts):
+    """Profiles with MARGIN cells all round, their lowest cell at 0: per chart (bottom, top)."""
+    shifts = range(-MARGIN, MARGIN + 1)
+    bottom = np.minimum.reduce([np.roll(bottom, shift) for shift in shifts])
+    top = np.maximum.reduce([np.roll(top, shift) for shift in shifts]) + 2 * MARGIN
+    ends = zip(starts[:-1] + MARGIN, starts[1:] - MARGIN, strict=True)
+    return [(bottom[first:last], top[first:last]) for first, last in ends]
 
 
 def pack(charts: Charts, density: float | np.ndarray, width: int, height: int | None = None) -> Placement | None:
@@ -112,28 +113,36 @@ def pack(charts: Charts, density: float | np.ndarray, width: int, height: int | 
     grown = extent + 2 * MARGIN
     if (grown.min(axis=1) > width).any() or (height and (grown.max(axis=1) > max(width, height)).any()):
         return None
-    columns = _profiles(points, charts.edges, charts.edge_chart, charts.count, 0, extent)
-    rows = _profiles(points, charts.edges, charts.edge_chart, charts.count, 1, extent)
-    skyline = np.zeros(width, np.int64)
+    edges = charts.edges, charts.edge_chart, charts.count
+    columns = _grow(*_profiles(points, *edges, 0, extent))
+    rows = _grow(*_profiles(points, *edges, 1, extent))
+    skyline = np.zeros(width, np.int32)
+    windows: dict[int, np.ndarray] = {}
     offset, turn = np.zeros((charts.count, 2), np.int64), np.zeros(charts.count, np.int64)
-    for k in np.argsort(-(extent.max(axis=1) * 4 + extent.sum(axis=1)), kind="stable"):
+    for k in np.argsort(-extent.prod(axis=1), kind="stable"):
+        sums = np.concatenate([[0], np.cumsum(skyline)])
         best = None
-        for turned, bottom, top in _turns(k, columns, rows, extent[k], charts.turnable[k]):
-            bottom, top = _grow(bottom, top)
-            if len(bottom) > width:
+        for turned, bottom, top in _turns(columns[k], rows[k], grown[k], charts.turnable[k]):
+            n = len(bottom)
+            if n > width:
                 continue
-            windows = np.lib.stride_tricks.sliding_window_view(skyline, len(bottom))
-            place = np.maximum((windows - bottom).max(axis=1), 0)
-            peak = place + top.max()
-            waste = place * len(bottom) + bottom.sum() - windows.sum(axis=1)
-            score = waste + peak * len(bottom) // 2
+            if n not in windows:
+                # a view of the skyline, which changes with it; wide charts try fewer columns
+                stride = 1 + n // COLUMNS
+                view = np.lib.stride_tricks.sliding_window_view(skyline, n)
+                windows[n] = view[::stride], np.arange(0, width - n + 1, stride)
+            view, at = windows[n]
+            place = np.maximum((view - bottom).max(axis=1), 0)
+            peak = place + int(top.max())
+            waste = place * n + int(bottom.sum()) - (sums[at + n] - sums[at])
+            score = waste + peak * (n // 2)
             if height:
                 score = np.where(peak > height, np.iinfo(np.int64).max, score)
-            x = int(np.argmin(score))
-            if height and peak[x] > height:
+            i = int(np.argmin(score))
+            if height and peak[i] > height:
                 continue
-            if best is None or score[x] < best[0]:
-                best = (score[x], turned, x, int(place[x]), top)
+            if best is None or score[i] < best[0]:
+                best = score[i], turned, int(at[i]), int(place[i]), top
         if best is None:
             return None
         _, turn[k], x, y, top = best
@@ -148,15 +157,14 @@ def _point_chart(charts):
     return chart
 
 
-def _turns(k, columns, rows, extent, turnable):
-    """The chart's bottom and top profiles in each allowed quarter turn (counted as in Placement)."""
-    bottom, top, starts = columns
-    bottom, top = bottom[starts[k] : starts[k + 1]], top[starts[k] : starts[k + 1]]
+def _turns(column, row, extent, turnable):
+    """The chart's bottom and top profiles in each quarter turn (counted as in Placement) that is allowed and new."""
+    bottom, top = column
     yield 0, bottom, top
     if not turnable:
         return
-    left, right, starts = rows
-    left, right = left[starts[k] : starts[k + 1]], right[starts[k] : starts[k + 1]]
+    left, right = row
     yield 1, left[::-1], right[::-1]
-    yield 2, extent[1] - top[::-1], extent[1] - bottom[::-1]
-    yield 3, extent[0] - right, extent[0] - left
+    if bottom.any() or (top != extent[1]).any():
+        yield 2, extent[1] - top[::-1], extent[1] - bottom[::-1]
+        yield 3, extent[0] - right, extent[0] - left
