@@ -7,18 +7,12 @@ from collections.abc import Callable
 from contextlib import contextmanager
 
 import bpy
-import numpy as np
 
 from ..core.bake import Progress, Settings, bake
 from ..core.panes import Relighter
 from ..core.rays import Tracer
 from ..core.scene import SceneError
-from . import extract, nodes, relight, store
-from .atlas import make_atlas
-
-UV_LAYER = nodes.UV_LAYER
-PLACE = ("lightpanes_scale", "lightpanes_offset", "lightpanes_baked")
-SURFACES = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
+from . import atlas, extract, nodes, relight, store, visibility
 
 
 def bake_scene(context: bpy.types.Context, progress: Callable[[Progress], None] | None = None) -> dict:
@@ -30,15 +24,15 @@ def bake_scene(context: bpy.types.Context, progress: Callable[[Progress], None] 
     scene = context.scene
     start = time.perf_counter()
     progress = progress or (lambda _: None)
-    warnings = preflight(scene)
+    warnings = preflight(context)
     asked = scene.lightpanes
     settings = Settings(
         error_target=asked.error_target, time_budget=asked.time_budget, resolution=asked.resolution, seed=asked.seed
     )
     progress(Progress("Atlas", 0.0, 0))
-    with relight.paused(), _atlas_kept_on_failure():
-        objects = [item for item in scene.objects if item.type == "MESH" and not item.lightpanes.exclude]
-        make_atlas(context, objects, settings.resolution)
+    objects = [item for item in scene.objects if item.type == "MESH" and store.TAG not in item]
+    with relight.paused(), _atlas_kept_on_failure(context, objects):
+        warnings += atlas.make_atlas(context, objects, settings.resolution)
         progress(Progress("Reading the scene", 0.02, 0))
         surfaces = extract.extract(context, resolution=settings.resolution)
         result = bake(surfaces, settings, lambda p: progress(Progress(p.stage, 0.05 + 0.93 * p.fraction, p.rays)))
@@ -68,66 +62,38 @@ def clear_scene(context: bpy.types.Context) -> bool:
     return found
 
 
-def preflight(scene: bpy.types.Scene) -> list[str]:
+def preflight(context: bpy.types.Context) -> list[str]:
     """Warnings; raises SceneError when there is nothing to bake."""
-    surfaces = [item for item in scene.objects if item.type in SURFACES and store.TAG not in item]
+    scene = context.scene
+    surfaces = [item for item in scene.objects if item.type in extract.GEOMETRY and store.TAG not in item]
     instancers = [item for item in scene.objects if item.instance_collection is not None]
     if not surfaces and not instancers:
         raise SceneError(f"There is nothing to bake: scene '{scene.name}' has no mesh. Add one.")
-    if all(item.hide_render for item in surfaces + instancers):
+    rendered = visibility.rendered_objects(context.view_layer)
+    shown = [item for item in surfaces if item in rendered]
+    if not shown and not rendered.intersection(instancers):
         raise SceneError(
             f"There is nothing to bake: every mesh in scene '{scene.name}' is hidden from renders. "
-            "Turn on its camera icon in the Outliner."
+            "Turn on its camera icon in the Outliner, or that of its collection."
         )
-    if surfaces and not instancers and all(item.lightpanes.exclude for item in surfaces):
+    if shown and all(item.lightpanes.exclude for item in shown):
         raise SceneError(f"There is nothing to bake: every mesh in scene '{scene.name}' is excluded from Lightpanes.")
-    if not any(item.type == "LIGHT" and not item.hide_render for item in scene.objects) and not instancers:
+    if shown and all(item.type == "MESH" and not item.data.polygons for item in shown):
+        raise SceneError(f"There is nothing to bake: '{shown[0].name}' has no faces. Add some.")
+    if not any(item.type == "LIGHT" for item in rendered) and not instancers:
         return [f"Scene '{scene.name}' has no visible lamp; the light follows as soon as you add or show one."]
     return []
 
 
 @contextmanager
-def _atlas_kept_on_failure():
-    """The previous bake's images are read through the UV layer and the objects' places, so they must stay with it."""
-    meshes = {mesh: _read_layer(mesh) for mesh in bpy.data.meshes if mesh.library is None}
-    places = {item: {key: _plain(item[key]) for key in PLACE if key in item} for item in bpy.data.objects}
+def _atlas_kept_on_failure(context, objects):
+    """The previous bake's images are read through the UV layer and the objects' places: both stay with it."""
+    restore = atlas.remember(context, objects)
     try:
         yield
     except BaseException:
-        for mesh, layer in meshes.items():
-            _write_layer(mesh, layer)
-        for item, place in places.items():
-            for key in PLACE:
-                if key in place:
-                    item[key] = place[key]
-                elif key in item:
-                    del item[key]
+        restore()
         raise
-
-
-def _plain(value):
-    return list(value) if hasattr(value, "__len__") else value
-
-
-def _read_layer(mesh):
-    layer = mesh.uv_layers.get(UV_LAYER)
-    if layer is None:
-        return None
-    uv = np.empty(2 * len(layer.uv), np.float32)
-    layer.uv.foreach_get("vector", uv)
-    return uv
-
-
-def _write_layer(mesh, uv):
-    layer = mesh.uv_layers.get(UV_LAYER)
-    if uv is None:
-        if layer is not None:
-            mesh.uv_layers.remove(layer)
-        return
-    if layer is None:
-        layer = mesh.uv_layers.new(name=UV_LAYER, do_init=False)
-    if layer is not None and 2 * len(layer.uv) == len(uv):
-        layer.uv.foreach_set("vector", uv)
 
 
 def _clear_atlas(scene):
@@ -140,11 +106,25 @@ def _clear_atlas(scene):
     }
     for item in mine - elsewhere:
         if item.library is None:
-            for key in PLACE:
+            for key in atlas.PLACE:
                 if key in item:
                     del item[key]
     kept = {item.data for item in bpy.data.objects if "lightpanes_baked" in item}
     for mesh in {item.data for item in mine if item.type == "MESH"} - kept:
-        layer = mesh.uv_layers.get(UV_LAYER)
-        if layer is not None and mesh.library is None:
-            mesh.uv_layers.remove(layer)
+        if mesh.library is None:
+            _remove_layer(mesh)
+
+
+def _remove_layer(mesh):
+    """Take our UV layer off; the user's active ones stay active."""
+    layers = mesh.uv_layers
+    layer = layers.get(atlas.LAYER)
+    if layer is None:
+        return
+    active = layers.active.name if layers.active else None
+    render = next((other.name for other in layers if other.active_render), None)
+    layers.remove(layer)
+    if active in layers:
+        layers.active = layers[active]
+    if render in layers:
+        layers[render].active_render = True

@@ -108,8 +108,8 @@ def _bake(options) -> int:
             setattr(asked, setting, value)
     with Bar() as bar:
         report = baking.bake_scene(bpy.context, bar)
-    report = {**_context(path), "settings": _settings(asked), **report}
-    _save_blend(target)
+    report = {**context_of(path), "settings": _settings(asked), **report}
+    save_blend(target)
     report["file"] = str(target)
     _finish(options, path, target, report)
     _say(options, f"{operators.summary(report)}. Wrote {target}")
@@ -125,8 +125,8 @@ def _relight(options) -> int:
     stale = list(relight.session(bpy.context.scene).stale)
     for sentence in stale:
         _say(options, f"Warning: {sentence}")
-    _save_blend(target)
-    report = {**_context(path), "relight_ms": round(milliseconds, 2), "stale": stale, "file": str(target)}
+    save_blend(target)
+    report = {**context_of(path), "relight_ms": round(milliseconds, 2), "stale": stale, "file": str(target)}
     _finish(options, path, target, report)
     _say(options, f"Relit in {milliseconds:.1f} ms. Wrote {target}")
     return OK
@@ -139,7 +139,7 @@ def _info(options) -> int:
     if meta is None:
         raise UserError(f"'{path.name}' has no bake in scene '{scene.name}'; bake it first.")
     stale = list(relight.check_stale(bpy.context))
-    report = {**_context(path), "settings": _settings(scene.lightpanes), **meta.get("report", {}), "stale": stale}
+    report = {**context_of(path), "settings": _settings(scene.lightpanes), **meta.get("report", {}), "stale": stale}
     _say(options, operators.summary(report))
     for key, value in report.items():
         if not isinstance(value, (dict, list)):
@@ -226,7 +226,7 @@ def _replacing(target: Path, write: Callable[[Path], object]) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def _save_blend(target: Path) -> None:
+def save_blend(target: Path) -> None:
     def write(path):
         bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, compress=True, check_existing=False)
 
@@ -253,7 +253,7 @@ def _write_report(options, report: dict) -> None:
         _replacing(Path(options.json).expanduser().absolute(), lambda place: place.write_text(text, "utf-8"))
 
 
-def _context(path: Path) -> dict:
+def context_of(path: Path) -> dict:
     from .. import __version__
 
     return {

@@ -15,11 +15,11 @@ from dataclasses import dataclass, field
 import bpy
 from bpy.app.handlers import persistent
 
+from ..core.bake import BakeError
 from ..core.panes import Relighter
 from ..core.rays import Tracer
-from ..core.bake import BakeError
 from ..core.scene import Light, SceneError
-from . import extract, lamps, store
+from . import extract, lamps, store, visibility
 
 
 @dataclass
@@ -29,7 +29,7 @@ class Session:
     key: str
     relighter: Relighter | None = None
     shown: str = ""  # key of the lamps that the image shows
-    held: dict[str, Light] = field(default_factory=dict)  # lamps that are not live, as they were last
+    last: dict[str, Light] = field(default_factory=dict)  # the lamps that the image shows, by name
     stale: tuple[str, ...] = ()
     milliseconds: float = 0.0
     error: str = ""
@@ -86,7 +86,7 @@ def relight(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph | None = 
         current = session(scene)
         if current is None:
             raise SceneError(f"Scene '{scene.name}' has no bake; press Bake first.")
-        current.held.clear()
+        current.last.clear()
         _apply(context, scene, current, _read_lights(depsgraph or context.evaluated_depsgraph_get(), current))
     check_stale(context)
     return current.milliseconds
@@ -141,13 +141,27 @@ def differences(before: dict[str, str], now: dict[str, str]) -> tuple[str, ...]:
     return tuple(f"{what} since the bake; bake again." for what in gone + edited + new)
 
 
-def _read_lights(depsgraph, current: Session) -> tuple[Light, ...]:
+def _read_lights(depsgraph, current: Session, rendering: bool = False) -> tuple[Light, ...]:
+    """The lamps that a render or a viewport shows; those that are not live as they were when last shown."""
+    scene = depsgraph.scene.original
+    hidden = set() if rendering or not _is_viewport(depsgraph) else _hidden_lamps(scene, depsgraph.view_layer.name)
     lights = []
     for light in lamps.read_lights(depsgraph, []):
-        source = depsgraph.scene.objects.get(light.name)
+        source = scene.objects.get(light.name)
         held = source is not None and source.type == "LIGHT" and not source.data.lightpanes.live
-        lights.append(current.held.setdefault(light.name, light) if held else light)
+        if light.name not in hidden:
+            lights.append(current.last.get(light.name, light) if held else light)
     return tuple(lights)
+
+
+def _is_viewport(depsgraph) -> bool:
+    """Whether somebody looks at a viewport, where a hidden lamp is a lamp that is off."""
+    return depsgraph.mode == "VIEWPORT" and not bpy.app.background
+
+
+def _hidden_lamps(scene, view_layer: str) -> set[str]:
+    layer = scene.view_layers[view_layer]
+    return {item.name for item in scene.objects if item.type == "LIGHT" and not item.visible_get(view_layer=layer)}
 
 
 def _key(lights) -> str:
@@ -163,11 +177,15 @@ def _apply(context, scene, current: Session, lights):
     store.write_irradiance(scene, relighter.relight(lights))
     current.milliseconds = 1000 * (time.perf_counter() - begin)
     current.shown = _key(lights)
+    current.last = {light.name: light for light in lights}
     current.error = ""
 
 
 def _relighter(context, scene, current: Session) -> Relighter:
     if current.relighter is None:
+        shown = visibility.rendered_objects(context.view_layer)
+        if not any(item.type in extract.GEOMETRY and store.TAG not in item for item in shown):
+            raise SceneError("All meshes of the bake are deleted or hidden; bring them back, or press Clear.")
         bake = store.load_bake(scene)
         geometry = extract.extract(context, resolution=bake.resolution, albedo=False)
         current.relighter = Relighter(bake.panes(), Tracer(geometry))
@@ -224,16 +242,26 @@ def _on_frame(scene, depsgraph):
 
 @persistent
 def _on_render(scene, *_):
-    """Reading meshes belongs in the main thread: be ready before the render's thread asks for light."""
-    current = session(scene)
-    if current is None or not scene.lightpanes.live or scene != bpy.context.scene:
+    """A render shows lamps that the viewport may hide."""
+    if not scene.lightpanes.live or scene != bpy.context.scene:
         return
     with _lock:
+        current = session(scene)
+        if current is None:
+            return
         try:
-            _relighter(bpy.context, scene, current)
+            lights = _read_lights(bpy.context.evaluated_depsgraph_get(), current, rendering=True)
+            if _key(lights) != current.shown:
+                _apply(bpy.context, scene, current, lights)
         except (SceneError, BakeError) as error:
             current.error = str(error)
             print(f"Lightpanes: {error}")
+
+
+@persistent
+def _on_rendered(*_):
+    if not bpy.app.background and not bpy.app.timers.is_registered(_update_later):
+        bpy.app.timers.register(_update_later, first_interval=0.1)
 
 
 @persistent
@@ -268,6 +296,8 @@ HANDLERS = {
     "depsgraph_update_post": _on_update,
     "frame_change_post": _on_frame,
     "render_init": _on_render,
+    "render_complete": _on_rendered,
+    "render_cancel": _on_rendered,
     "undo_post": _on_undo,
     "redo_post": _on_undo,
     "load_post": _on_load,

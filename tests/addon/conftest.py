@@ -1,10 +1,15 @@
 """A registered add-on and a small scene around every test that needs Blender."""
 
+import functools
+
 import pytest
 
 bpy = pytest.importorskip("bpy")
 
 import lightpanes  # noqa: E402
+
+# Budgets of a bake that is done in half a second and still looks like the room.
+SMALL = {"entries": 300, "entry_rays": 128, "exit_rays": 32, "regions": 8, "panes": 8, "lamps": 60}
 
 
 @pytest.fixture
@@ -14,6 +19,14 @@ def blender():
     lightpanes.register()
     yield bpy
     lightpanes.unregister()
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Bakes through the add-on take small budgets instead of the planner's."""
+    from lightpanes.addon import baking
+
+    monkeypatch.setattr(baking, "Settings", functools.partial(baking.Settings, **SMALL))
 
 
 @pytest.fixture

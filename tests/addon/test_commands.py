@@ -12,6 +12,9 @@ from lightpanes.addon import commands, store  # noqa: E402
 from lightpanes.core.bake import Progress  # noqa: E402
 
 
+pytestmark = pytest.mark.usefixtures("quick")
+
+
 @pytest.fixture
 def file(room, tmp_path):
     """A saved room; returns its path."""
@@ -20,7 +23,7 @@ def file(room, tmp_path):
     return path
 
 
-def quick(*words):
+def bake_words(*words):
     return ["bake", *map(str, words), "--error", "0.5", "--resolution", "64"]
 
 
@@ -35,7 +38,7 @@ def complaint(capsys, *words):
 
 def test_bake_writes_beside_the_input(file, capsys):
     original = file.read_bytes()
-    assert commands.main(quick(file)) == 0
+    assert commands.main(bake_words(file)) == 0
     assert file.read_bytes() == original
     assert sorted(p.name for p in file.parent.iterdir()) == ["room.blend", "room_lightpanes.blend"]
     bpy.ops.wm.open_mainfile(filepath=str(file.with_name("room_lightpanes.blend")))
@@ -45,7 +48,7 @@ def test_bake_writes_beside_the_input(file, capsys):
 
 def test_bake_into_a_folder(file, tmp_path):
     folder, report = tmp_path / "made" / "here", tmp_path / "report.json"
-    assert commands.main(quick(file, "--output", folder, "--json", report)) == 0
+    assert commands.main(bake_words(file, "--output", folder, "--json", report)) == 0
     names = ["room_lightpanes.blend", "room_lightpanes_irradiance.exr", "room_lightpanes_report.json"]
     assert sorted(p.name for p in folder.iterdir()) == names
     said = json.loads(report.read_text())
@@ -59,7 +62,7 @@ def test_bake_into_a_folder(file, tmp_path):
 
 
 def test_report_on_the_terminal_is_json_and_nothing_else(file, capsys):
-    assert commands.main(quick(file)) == 0
+    assert commands.main(bake_words(file)) == 0
     capsys.readouterr()
     assert commands.main(["info", str(file.with_name("room_lightpanes.blend")), "--json", "-"]) == 0
     said = json.loads(capsys.readouterr().out)
@@ -67,7 +70,7 @@ def test_report_on_the_terminal_is_json_and_nothing_else(file, capsys):
 
 
 def test_relight(file, tmp_path):
-    assert commands.main(quick(file)) == 0
+    assert commands.main(bake_words(file)) == 0
     baked = file.with_name("room_lightpanes.blend")
     bpy.ops.wm.open_mainfile(filepath=str(baked))
     bpy.context.scene.lightpanes.live = False
@@ -185,13 +188,13 @@ def test_interrupting_writes_nothing(file, capsys, monkeypatch):
             raise KeyboardInterrupt
 
     monkeypatch.setattr(commands.Bar, "__call__", stop)
-    assert commands.main(quick(file)) == 130
+    assert commands.main(bake_words(file)) == 130
     assert capsys.readouterr().err.strip() == "lightpanes: cancelled; nothing was written."
     assert [p.name for p in file.parent.iterdir()] == ["room.blend"]
 
 
 def test_a_failed_write_leaves_the_old_file(file, monkeypatch, capsys):
-    assert commands.main(quick(file)) == 0
+    assert commands.main(bake_words(file)) == 0
     target = file.with_name("room_lightpanes.blend")
     before = target.read_bytes()
 
@@ -200,7 +203,7 @@ def test_a_failed_write_leaves_the_old_file(file, monkeypatch, capsys):
 
     monkeypatch.setattr(commands.os, "replace", fail)
     capsys.readouterr()
-    assert commands.main(quick(file, "--seed", "3")) == 2
+    assert commands.main(bake_words(file, "--seed", "3")) == 2
     assert capsys.readouterr().err.strip().endswith(f"lightpanes: Can't write '{target}': No space left on device.")
     assert target.read_bytes() == before
     assert sorted(p.name for p in file.parent.iterdir()) == ["room.blend", "room_lightpanes.blend"]
