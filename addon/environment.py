@@ -72,7 +72,7 @@ def read(world: bpy.types.World, warnings: list[str]) -> Sky | None:
         if color is not None and strength is not None:
             return _sky((color * strength).reshape(1, 1, 3))
     try:
-        return _sky(_evaluate(world))
+        return _sky(_evaluate(world, warnings))
     except RuntimeError as error:
         warnings.append(f"World '{world.name}' could not be evaluated and gives no light: {error}")
         return None
@@ -83,14 +83,20 @@ def _sky(radiance) -> Sky | None:
     return None if sky.is_black else sky
 
 
-def _evaluate(world) -> np.ndarray:
+def _evaluate(world, warnings) -> np.ndarray:
     """(HEIGHT, WIDTH, 3) float32 mean radiance of each texel as diffuse rays see it."""
     view = world.copy()
     try:
         _see_as_diffuse_ray(view.node_tree)
+        # no map for importance sampling: nothing is lit here
+        view.cycles.sampling_method = "NONE"
         fine = _bake(view, (0, 1, 0, 1), WIDTH, HEIGHT, WIDTH * FINE, HEIGHT * FINE)
         radiance = _shrink(fine, FINE)
-        _look_closer(view, fine, radiance)
+        if _look_closer(view, fine, radiance):
+            warnings.append(
+                f"World '{world.name}' contains a sun. As part of the sky it lights with a blurred shadow and more "
+                "noise; turn Sun Disc off and use a Sun lamp for a sharp one that can be relit."
+            )
         return radiance
     finally:
         bpy.data.worlds.remove(view)
@@ -101,12 +107,15 @@ def _shrink(image, factor):
     return image.reshape(height, factor, width, factor, 3).mean(axis=(1, 3))
 
 
-def _look_closer(world, fine, radiance) -> None:
-    """Bake a small very bright region, the sun, again with many texels: its energy must be right."""
+def _look_closer(world, fine, radiance) -> bool:
+    """Bake a small very bright region, the sun, again with many texels: its energy must be right.
+
+    Whether there is one.
+    """
     brightness = fine.mean(axis=2)
     rows, columns = np.nonzero(brightness > HOT * max(float(brightness.mean()), 1e-9))
     if not len(rows):
-        return
+        return False
     peak = np.argmax(brightness[rows, columns])
     # turned so that a sun at the map's seam is in one piece
     shift = columns[peak] // FINE - WIDTH // 2
@@ -115,11 +124,12 @@ def _look_closer(world, fine, radiance) -> None:
     low, high = max(rows.min() // FINE - 2, 0), min(rows.max() // FINE + 3, HEIGHT)
     cells = max(right - left, high - low)
     if cells > WINDOW // 8:
-        return
+        return False
     factor = WINDOW // cells
     window = ((left + shift) / WIDTH, (right + shift) / WIDTH, low / HEIGHT, high / HEIGHT)
     patch = _bake(world, window, right - left, high - low, (right - left) * factor, (high - low) * factor)
     radiance[low:high, np.arange(left + shift, right + shift) % WIDTH] = _shrink(patch, factor)
+    return True
 
 
 def _see_as_diffuse_ray(tree) -> None:

@@ -34,7 +34,9 @@ def read_lights(depsgraph: bpy.types.Depsgraph, warnings: list[str]) -> tuple[Li
             continue
         original, parent = obj.original, instance.parent.original if instance.is_instance else None
         met.add(original if parent is None else None)
-        shown = (original if parent is None else parent) in rendered
+        shown = (original if parent is None else parent) in rendered and (
+            parent is not None or not _is_pattern(original)
+        )
         if parent is not None and parent.instance_type == "COLLECTION" and parent.instance_collection:
             shown = shown and original in visibility.rendered_members(parent.instance_collection)
         if not shown or not _shines(obj):
@@ -45,7 +47,7 @@ def read_lights(depsgraph: bpy.types.Depsgraph, warnings: list[str]) -> tuple[Li
             name = f"{name} {names[name]}"
         lights.append(_read(obj, np.array(instance.matrix_world, np.float64), scene, warnings, name))
     for obj in sorted(rendered - met, key=lambda o: o.name):
-        if obj.type == "LIGHT" and _shines(obj):
+        if obj.type == "LIGHT" and _shines(obj) and not _is_pattern(obj):
             lights.append(_read(obj, np.array(obj.matrix_world, np.float64), scene, warnings, obj.name))
     return tuple(light for light in lights if light is not None)
 
@@ -70,9 +72,15 @@ def read_sky(world: bpy.types.World | None, warnings: list[str]) -> Sky | None:
     return environment.read(world, warnings)
 
 
+def _is_pattern(obj) -> bool:
+    """Whether an object is only what its parent's vertices or faces repeat, and not rendered itself."""
+    return obj.parent is not None and obj.parent.instance_type in {"VERTS", "FACES"}
+
+
 def _shines(obj) -> bool:
     """Whether diffuse surfaces get light from the lamp at all; portals only guide the sky's rays."""
-    portal = obj.data.type == "AREA" and obj.data.cycles.is_portal
+    # Cycles' settings from the original: changes to them do not reach evaluated copies by themselves
+    portal = obj.data.type == "AREA" and obj.data.original.cycles.is_portal
     return obj.visible_diffuse and not obj.hide_render and not portal and obj.data.energy != 0
 
 
@@ -161,10 +169,9 @@ def _warn(obj, scene, frame, warnings, name) -> None:
     if linking.receiver_collection is not None or linking.blocker_collection is not None:
         warnings.append(f"Lamp '{name}' uses light linking, which is not honoured: it lights and shadows all objects.")
     limit = min(BOUNCES, scene.cycles.max_bounces) if scene is not None else BOUNCES
-    if obj.data.cycles.max_bounces < limit:
-        warnings.append(
-            f"Lamp '{name}' limits its bounces to {obj.data.cycles.max_bounces}, which is not honoured: all count."
-        )
+    bounces = obj.data.original.cycles.max_bounces
+    if bounces < limit:
+        warnings.append(f"Lamp '{name}' limits its bounces to {bounces}, which is not honoured: all count.")
     skew = np.abs(frame[:3, :3].T @ frame[:3, :3] - np.eye(3)).max()
     if obj.data.type in {"AREA", "SPOT"} and skew > 1e-3:
         warnings.append(
