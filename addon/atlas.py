@@ -19,7 +19,7 @@ from ..core.scene import SceneError
 from . import visibility
 from .charts import lay_flat, next_loop
 from .meshes import LAYER, loop_triangles, read_attribute, weight_of
-from .packing import MARGIN, Charts, pack
+from .packing import FEW, INSET, MARGIN, Charts, pack
 
 ANGLE_LIMIT = np.radians(66.0)
 LARGEST_GRID = 1024  # cells; above it a cell is several texels wide
@@ -244,14 +244,16 @@ def _lay_out(meshes, unwrapped, resolution, warnings):
     chart_count = sum(len(layout.areas) * len(mesh.users) for mesh, layout in zip(meshes, layouts, strict=True))
     density = high = _densest(meshes, layouts, total, chart_count, grid)
     smallest = 0.2 * density
+    # whether charts fit is not monotonic in their size: few charts can afford to try more sizes
+    step = 0.97 if chart_count <= FEW else 0.94
     packed = low = None
-    while (low is None and density > smallest) or (low is not None and high / low > 1.02):
+    while (low is None and density > smallest) or (low is not None and high / low > 1.015):
         attempt = _attempt(meshes, layouts, density, grid)
         if attempt is None:
             high = density
         else:
             packed, low = attempt, density
-        density = np.sqrt(low * high) if low else density * 0.93
+        density = np.sqrt(low * high) if low else density * step
     if packed is None:
         raise SceneError(_too_small(meshes, chart_count, resolution))
     density = low * resolution / grid
@@ -311,7 +313,7 @@ def _attempt(meshes, layouts, density, grid):
             sizes.extend((i, k, block[1] * (ratio / least)) for k, ratio in enumerate(mesh.ratios))
     charts = _together(
         [layouts[i] for i in singles],
-        np.array([np.ceil(size - 1e-6) - 2 * MARGIN for _, _, size in sizes]).reshape(-1, 2) / density,
+        np.array([np.ceil(size - 1e-6) - 2 * MARGIN - 2 * INSET for _, _, size in sizes]).reshape(-1, 2) / density,
     )
     placed = pack(charts, density, grid, grid)
     if placed is None:
@@ -335,13 +337,16 @@ def _attempt(meshes, layouts, density, grid):
 def _block(layout, density, grid):
     """A shared mesh's charts in a box of their own: UVs in [0, 1]² of the box, and its size in cells."""
     charts = layout.charts
-    side = np.sqrt(layout.areas.sum()) * density
-    needed = int(np.ceil(charts.points.max(initial=0) * density)) + 2 * MARGIN
+    corner = np.zeros((charts.count, 2))
+    np.maximum.at(corner, layout.chart, layout.points)
+    cells = np.ceil(corner * density) + 2 * MARGIN
+    side = np.sqrt(cells.prod(axis=1).sum())
+    # a long chart may stand upright: only its shorter side must fit
+    narrowest = cells.min(axis=1).max() + 1
     best = None
-    for factor in (1.0, 1.15, 1.3):
-        width = max(int(np.ceil(side * factor)) + 2 * MARGIN + 2, 3 * MARGIN)
-        # a long chart may stand upright: only the shorter side must fit
-        placed = pack(charts, density, min(width, grid)) or pack(charts, density, min(max(width, needed), grid))
+    for factor in (0.8, 0.9, 1.0, 1.15):
+        width = int(np.ceil(max(side * factor, narrowest)))
+        placed = pack(charts, density, width) if width <= grid else None
         if placed is None:
             continue
         points = placed.apply(charts.points * density, layout.chart)

@@ -13,7 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 MARGIN = 1  # cells around each chart; two neighbours make two cells
-COLUMNS = 32  # a chart wider than this is tried in steps, this many to its width
+FEW = 250  # charts
+COLUMNS = 16  # cells; a wider chart is not tried in every column
+INSET = 0.01  # cells that a chart stays off its cells' borders, so that float32 UVs don't cross them
 EMPTY = np.iinfo(np.int32).max // 2
 
 
@@ -48,7 +50,7 @@ class Placement:
 
     def apply(self, points: np.ndarray, chart: np.ndarray) -> np.ndarray:
         """(P, 2) points already in cells, (P,) chart of each → (P, 2) places in cells."""
-        x, y = points[:, 0], points[:, 1]
+        x, y = points[:, 0] + INSET, points[:, 1] + INSET
         w, h = self.extent[chart, 0], self.extent[chart, 1]
         turn = self.turn[chart]
         turned = np.stack(
@@ -64,8 +66,8 @@ def _profiles(points, edges, edge_chart, count, axis, extent):
     swap = a[:, axis] > b[:, axis]
     a, b = np.where(swap[:, None], b, a), np.where(swap[:, None], a, b)
     x0, y0, x1, y1 = a[:, axis], a[:, 1 - axis], b[:, axis], b[:, 1 - axis]
-    first = np.floor(x0).astype(np.int64)
-    last = np.minimum(np.maximum(np.ceil(x1).astype(np.int64) - 1, first), extent[edge_chart, axis] - 1)
+    first = np.floor(x0 - INSET + 1e-6).astype(np.int64)
+    last = np.minimum(np.maximum(np.ceil(x1 + INSET - 1e-6).astype(np.int64) - 1, first), extent[edge_chart, axis] - 1)
     first = np.minimum(first, last)
     spans = last - first + 1
     owner = np.repeat(np.arange(len(edges)), spans)
@@ -85,8 +87,8 @@ def _profiles(points, edges, edge_chart, count, axis, extent):
     starts = np.concatenate([[0], np.cumsum(widths)])
     bottom, top = np.full(starts[-1], EMPTY, np.int32), np.full(starts[-1], -1, np.int32)
     cell = starts[edge_chart[owner]] + column + 2 * MARGIN
-    np.minimum.at(bottom, cell, np.maximum(np.floor(low + 1e-6), 0).astype(np.int32))
-    np.maximum.at(top, cell, np.ceil(high - 1e-6).astype(np.int32))
+    np.minimum.at(bottom, cell, np.maximum(np.floor(low - INSET + 1e-6), 0).astype(np.int32))
+    np.maximum.at(top, cell, np.ceil(high + INSET - 1e-6).astype(np.int32))
     top = np.where(bottom == EMPTY, top, np.maximum(top, bottom + 1))
     return bottom, top, starts
 
@@ -103,35 +105,51 @@ def _grow(bottom, top, starts):
 def pack(charts: Charts, density: float | np.ndarray, width: int, height: int | None = None) -> Placement | None:
     """Pack at `density` cells per metre ((count,) or scalar) into width × height cells.
 
-    None when the charts don't fit; without height the strip is as high as it needs to be.
+    None when the charts don't fit; without height the strip is as high as it needs to be. Few charts
+    are tried in two orders, for luck matters with them and time does not.
     """
     scale = np.broadcast_to(density, charts.count)
-    points = charts.points * scale[_point_chart(charts)][:, None]
+    points = charts.points * scale[_point_chart(charts)][:, None] + INSET
     extent = np.ones((charts.count, 2), np.int64)
     ends = points[charts.edges].max(axis=1)
-    np.maximum.at(extent, charts.edge_chart, np.ceil(ends - 1e-6).astype(np.int64))
+    np.maximum.at(extent, charts.edge_chart, np.ceil(ends + INSET - 1e-6).astype(np.int64))
     grown = extent + 2 * MARGIN
     if (grown.min(axis=1) > width).any() or (height and (grown.max(axis=1) > max(width, height)).any()):
         return None
     edges = charts.edges, charts.edge_chart, charts.count
     columns = _grow(*_profiles(points, *edges, 0, extent))
     rows = _grow(*_profiles(points, *edges, 1, extent))
+    orders = [extent.prod(axis=1), extent.max(axis=1)]
+    for size in orders[: 2 if height and charts.count <= FEW else 1]:
+        placed = _drop(columns, rows, extent, charts.turnable, np.argsort(-size, kind="stable"), width, height)
+        if placed is not None:
+            return placed
+    return None
+
+
+def _drop(columns, rows, extent, turnable, order, width, height) -> Placement | None:
+    """Drop the charts in the given order, each where it rests lowest and covers least empty space."""
+    grown = extent + 2 * MARGIN
     skyline = np.zeros(width, np.int32)
     windows: dict[int, np.ndarray] = {}
-    offset, turn = np.zeros((charts.count, 2), np.int64), np.zeros(charts.count, np.int64)
-    for k in np.argsort(-extent.prod(axis=1), kind="stable"):
+    offset, turn = np.zeros_like(extent), np.zeros(len(extent), np.int64)
+    for k in order:
         sums = np.concatenate([[0], np.cumsum(skyline)])
+        steps = np.flatnonzero(np.diff(skyline)) + 1
         best = None
-        for turned, bottom, top in _turns(columns[k], rows[k], grown[k], charts.turnable[k]):
+        for turned, bottom, top in _turns(columns[k], rows[k], grown[k], turnable[k]):
             n = len(bottom)
             if n > width:
                 continue
             if n not in windows:
-                # a view of the skyline, which changes with it; wide charts try fewer columns
-                stride = 1 + n // COLUMNS
-                view = np.lib.stride_tricks.sliding_window_view(skyline, n)
-                windows[n] = view[::stride], np.arange(0, width - n + 1, stride)
-            view, at = windows[n]
+                # a view of the skyline, which changes with it
+                windows[n] = np.lib.stride_tricks.sliding_window_view(skyline, n)
+            view, at = windows[n], np.arange(width - n + 1)
+            if n > COLUMNS:
+                # flush with a step to its left or right, or at even distances
+                at = np.concatenate([at[:: n // COLUMNS], steps, steps - n, [width - n]])
+                at = at[(at >= 0) & (at <= width - n)]
+                view = view[at]
             place = np.maximum((view - bottom).max(axis=1), 0)
             peak = place + int(top.max())
             waste = place * n + int(bottom.sum()) - (sums[at + n] - sums[at])
