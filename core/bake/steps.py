@@ -91,10 +91,10 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
     transport = make_transport(scene, patches, entries, gatherer, budget.entry_rays, seed, clock.tick)
 
     places = entries.points(scene, patches, PLACES, seed + 5)
-    lamps = training_lamps(scene, places, bvh, budget.lamps, seed + 6)
+    lamps = training_lamps(scene, places, gatherer, budget.lamps, seed + 6)
     clock.start("Lamps", len(lamps))
     direct = illuminate(lamps, places, PLACES, tracer, seed, lambda: clock.tick(1, len(entries)))
-    test = training_lamps(scene, places, bvh, TEST_LAMPS, seed + 1006)
+    test = training_lamps(scene, places, gatherer, TEST_LAMPS, seed + 1006)
     test_direct = illuminate(test, places, PLACES, tracer, seed + 1000)
 
     clock.start("Panes", 4)

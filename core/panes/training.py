@@ -15,6 +15,7 @@ from ..rays import Bvh, Tracer, chunks, in_threads
 from ..sampling import cosine_hemisphere, frame, hash_uniform, spiral
 from ..scene import Light, Scene
 from ..surface import SurfaceSamples
+from ..transfer import Gatherer
 
 NEAR = (0.005, 0.045)
 """Least and most distance of near lamps from the surface below, in parts of the scene's extent."""
@@ -69,12 +70,12 @@ def sun_lamps(scene: Scene, count: int, seed: int) -> list[Light]:
     return lamps
 
 
-def training_lamps(scene: Scene, points: SurfaceSamples, bvh: Bvh, count: int, seed: int) -> list[Light]:
+def training_lamps(scene: Scene, points: SurfaceSamples, gatherer: Gatherer, count: int, seed: int) -> list[Light]:
     """About `count` lamps: a third anywhere in the air, the rest near surfaces, in turns; suns where there is one.
 
     points: places on the entries, from which the air is found.
     """
-    extent = scene.extent
+    extent, bvh = scene.extent, gatherer.bvh
     suns = sun_lamps(scene, count // 12, seed)
     rng = np.random.default_rng(seed)
     places = []
@@ -82,20 +83,23 @@ def training_lamps(scene: Scene, points: SurfaceSamples, bvh: Bvh, count: int, s
         # twice as many as wanted: those in cracks fall out
         chosen = np.sort(rng.integers(0, len(points), int(2 * share * count) + 8))
         found = free_air(points.take(chosen), bvh, extent, seed + 17, near)
-        found = found[clearance(found, bvh) > 0.6 * NEAR[0] * extent]
+        found = found[room_around(found, gatherer) > 0.6 * NEAR[0] * extent]
         places.append(found[rng.permutation(len(found))[: int(share * count)]])
     return point_lamps(np.concatenate(places)) + suns
 
 
-def clearance(places: np.ndarray, bvh: Bvh) -> np.ndarray:
-    """(n,) float32 distance, m, from each place (n, 3) to about the nearest surface, by 64 rays around."""
+def room_around(places: np.ndarray, gatherer: Gatherer) -> np.ndarray:
+    """(n,) float32 distance, m, from each place (n, 3) to about the nearest surface, by 64 rays around; 0 for
+    places inside things, which see sides that have no entry."""
     around = spiral(64)
     result = np.empty(len(places), np.float32)
 
     def part(piece):
         origins = np.repeat(places[piece], len(around), axis=0)
         rays = np.tile(around, (piece.stop - piece.start, 1))
-        result[piece] = bvh.hits(origins, rays).distance.reshape(-1, len(around)).min(axis=1)
+        inside, distance = gatherer.dead_ends(origins, rays)
+        inside = inside.reshape(-1, len(around)).mean(axis=1)
+        result[piece] = np.where(inside > 0.3, 0, distance.reshape(-1, len(around)).min(axis=1))
 
     in_threads(part, chunks(len(places), 128))
     return result

@@ -1,4 +1,4 @@
-"""Which sides of which patches pass light on, and which places lie inside solid things.
+"""Which sides of which patches pass light on, and which places lie buried inside other things.
 
 A side matters when cosine rays that start where light is wanted, or on another side that matters,
 land on it. What no such ray finds gets no entry: the outside of a sealed room costs nothing.
@@ -10,15 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..rays import Bvh
-from ..sampling import spiral
+from ..rays import CHUNK, Bvh
 from ..scene import Scene
 from ..surface import Patches, SurfaceSamples
 from .gather import Gatherer
+from .reach import flood
 
 PILOT_RAYS = 32
 SIGNIFICANT = 0.02
 """A back side gets an entry when its share of the rays exceeds this part of the average side's."""
+
+BURIED = 0.2
+"""Part of a place's rays that may meet back sides which no light reaches."""
 
 MAX_ALBEDO = 0.98
 """Bounces between albedo-1 surfaces never end; beyond this the solve would diverge."""
@@ -55,77 +58,42 @@ class Entries:
         return samples.flipped(np.repeat(self.back, each) ^ upside)
 
 
-def solid_objects(scene: Scene, bvh: Bvh, patches: Patches) -> np.ndarray:
-    """(objects,) bool: closed surfaces seen from outside, whose inside no light needs to reach.
-
-    Closed: every edge is shared by two triangles that run along it in opposite directions. A closed
-    thing around a lamp is a room, not a solid.
-    """
-    points = np.unique(scene.positions, axis=0, return_inverse=True)[1].reshape(-1)
-    corner = points[scene.triangles].astype(np.int64)
-    start, end = corner.reshape(-1), np.roll(corner, -1, axis=1).reshape(-1)
-    owner = np.repeat(scene.triangle_object.astype(np.int64), 3)
-    span = len(points) + 1
-    count = len(scene.objects)
-    # an edge and its reverse cancel
-    sign = np.where(start < end, 1, -1)
-    key = (np.minimum(start, end) * span + np.maximum(start, end)) * count + owner
-    names, edge = np.unique(key, return_inverse=True)
-    edge = edge.reshape(-1)
-    balance = np.bincount(edge, sign, len(names))
-    closed = np.ones(count, bool)
-    closed[(names % count)[(balance != 0) | (np.bincount(edge) != 2)]] = False
-    cross = scene.triangle_cross()
-    # outward: positive volume
-    volume = np.einsum("nd,nd->n", scene.positions[scene.triangles[:, 0]] - scene.positions.mean(axis=0), cross)
-    closed &= np.bincount(scene.triangle_object, volume, count) > 0
-    closed[np.bincount(scene.triangle_object, minlength=count) == 0] = False
-    lamps = [light.position for light in scene.lights if light.kind != "SUN"]
-    if closed.any() and lamps:
-        around = spiral(128)
-        origins = np.repeat(np.array(lamps, np.float32), len(around), axis=0)
-        piece = bvh.closest(origins, np.tile(around, (len(lamps), 1)).astype(np.float32))
-        hit = piece >= 0
-        triangle = patches.parent[piece[hit]]
-        behind = np.einsum("nd,nd->n", cross[triangle], np.tile(around, (len(lamps), 1))[hit]) > 0
-        lamp = np.repeat(np.arange(len(lamps)), len(around))[hit]
-        seen = np.bincount(lamp[behind] * count + scene.triangle_object[triangle][behind], minlength=len(lamps) * count)
-        closed &= ~(seen.reshape(-1, count) > 0.5 * len(around)).any(axis=0)
-    return closed
-
-
 def find_entries(
     scene: Scene, patches: Patches, bvh: Bvh, exits: SurfaceSamples, offset: float, seed: int = 0
 ) -> tuple[Entries, np.ndarray]:
-    """Entries reached by light paths that end at `exits`, and (exits,) bool: those inside solid things."""
-    solid = solid_objects(scene, bvh, patches)[scene.triangle_object[patches.parent]]
-    count = len(patches)
-    front = 2 * patches.patch
-    inside_id = 2 * count
-    back = np.where(solid, inside_id, front + 1)
-    gatherer = Gatherer(scene, patches, bvh, front, back, inside_id + 2, offset=offset)
+    """Entries reached by light paths that end at `exits`, and (exits,) bool: those buried inside other things.
 
-    def pilot(points, rays, salt):
-        hits = np.zeros(gatherer.size, np.int64)
-        lost = np.zeros(len(points), np.float32)
+    A place is buried when it sees back sides that the flood of light does not reach. Fronts do not count: a sealed
+    room without a lamp is no solid thing, one may be put there later.
+    """
+    count = len(patches)
+    dark = flood(scene, patches, bvh, offset, seed) == 0
+    front = 2 * patches.patch
+    gatherer = Gatherer(scene, patches, bvh, front, front + 1, 2 * count + 1, offset=offset)
+    backside = np.zeros(gatherer.size, np.float32)
+    backside[1 : 2 * count : 2] = dark[1::2]
+
+    def pilot(points, salt):
+        """Sides seen from places that are not buried, and which places are."""
+        landed = np.empty((PILOT_RAYS, len(points)), np.int32)
+        at = dict.fromkeys(range(0, len(points), CHUNK), 0)
 
         def consume(piece, ids):
-            lost[piece] += (ids == inside_id).sum(axis=0)
-            found.append(np.bincount(ids.reshape(-1), minlength=gatherer.size))
+            first = at[piece.start]
+            landed[first : first + len(ids), piece] = ids
+            at[piece.start] = first + len(ids)
 
-        found: list[np.ndarray] = []
-        gatherer.gather(points, rays, seed + salt, consume)
-        for part in found:
-            hits += part
-        return hits[: 2 * count], lost / rays
+        gatherer.gather(points, PILOT_RAYS, seed + salt, consume)
+        buried = backside[landed].mean(axis=0) > BURIED
+        seen = np.bincount(landed[:, ~buried].reshape(-1), minlength=gatherer.size)
+        return seen[: 2 * count], buried
 
-    hits, lost = pilot(exits, PILOT_RAYS, 101)
-    buried = lost > 0.5
-    # what the valid exits see; then what those sides see, until nothing new turns up
-    valid = np.flatnonzero(~buried)
-    total = pilot(exits.take(valid), PILOT_RAYS, 102)[0] if buried.any() else hits
+    total, buried = pilot(exits, 101)
+    if buried.all():
+        total += np.bincount(front, minlength=2 * count)
     reached = _significant(total, patches)
-    fresh = reached.copy()
+    fresh = reached
+    # what the exits see; then what those sides see, until nothing new turns up
     for step in range(4):
         sides = np.flatnonzero(fresh)
         if not len(sides):
@@ -133,8 +101,7 @@ def find_entries(
         chosen = np.tile(sides, max(1, 20_000 // len(sides)))
         samples = patches.sample(scene, (chosen // 2).astype(np.int32), seed + 11 + step)
         upside = np.einsum("nd,nd->n", scene.triangle_cross()[samples.triangle], samples.flat) < 0
-        points = samples.flipped((chosen % 2 == 1) ^ upside)
-        total = total + pilot(points, PILOT_RAYS, 200 + step)[0]
+        total = total + pilot(samples.flipped((chosen % 2 == 1) ^ upside), 200 + step)[0]
         now = _significant(total, patches)
         fresh, reached = now & ~reached, now | reached
     return _make(scene, patches, np.flatnonzero(reached)), buried

@@ -24,7 +24,8 @@ class Gatherer:
     """Names what rays land on.
 
     front, back: (p,) int32 id of each piece's two sides. miss: id of the sky's first bin; a sky with
-    `bins` = (rows, columns) > (1, 1) has one id for each direction bin from `miss` on.
+    `bins` = (rows, columns) > (1, 1) has one id for each direction bin from `miss` on. bare: (p,) bool of the
+    fronts and backs that have no entry.
     """
 
     def __init__(
@@ -37,6 +38,7 @@ class Gatherer:
         miss: int,
         bins: tuple[int, int] = (1, 1),
         offset: float = 0.0,
+        bare: tuple[np.ndarray, np.ndarray] | None = None,
     ):
         self.bvh = bvh
         self.miss = miss
@@ -51,6 +53,7 @@ class Gatherer:
         cross = np.cross(patches.corners[:, 1] - patches.corners[:, 0], patches.corners[:, 2] - patches.corners[:, 0])
         self._flat = cross.astype(np.float32)
         self._patches = patches
+        self._bare = bare
         self._transmission = Transmission(scene)
         clear = self._transmission.see_through[patches.parent]
         self._clear = np.append(clear, False)
@@ -91,6 +94,13 @@ class Gatherer:
                 tick(rays * count)
 
         in_threads(chunk, chunks(len(points)), threads)
+
+    def dead_ends(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(n,) bool, whether rays meet a side that has no entry of its own, and (n,) float32 distances, m."""
+        hits = self.bvh.hits(origins, directions)
+        behind = np.einsum("nd,nd->n", self._flat.take(hits.triangle, axis=0, mode="wrap"), directions) > 0
+        bare = np.where(behind, self._bare[1].take(hits.triangle, mode="wrap"), self._bare[0].take(hits.triangle, mode="wrap"))
+        return bare & (hits.triangle >= 0), hits.distance
 
     @staticmethod
     def _turns(normal, piece, seed):

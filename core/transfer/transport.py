@@ -54,7 +54,7 @@ def make_transport(
     seed: int = 0,
     tick: Callable[[int], None] | None = None,
 ) -> Transport:
-    """Count where `rays` cosine rays of each entry land; reciprocity A_i F_ij = A_j F_ji halves the noise."""
+    """Count where `rays` cosine rays of each entry land; reciprocity, A_i F_ij = A_j F_ji, halves the noise."""
     count, columns = len(entries), gatherer.size
     places = min(PLACES, rays)
     points = entries.points(scene, patches, places, seed + 31)
@@ -85,11 +85,11 @@ def make_transport(
         rows = slice(start, min(start + 512, count))
         for left in range(start, count, 512):
             cols = slice(left, min(left + 512, count))
-            upper = between[rows, cols] * area[rows, None]
-            lower = between[cols, rows] * area[cols, None]
-            mean = 0.5 * (upper + lower.T)
-            between[rows, cols] = mean / area[rows, None]
-            between[cols, rows] = mean.T / area[cols, None]
+            # each direction weighted by its certainty: a sliver that few rays of a large entry find must not
+            # be given more light than there is
+            mean = (between[rows, cols] + between[cols, rows].T) / (area[rows, None] + area[cols])
+            between[rows, cols] = mean * area[cols]
+            between[cols, rows] = mean.T * area[rows]
     return Transport(np.ascontiguousarray(between), sky)
 
 
@@ -102,5 +102,6 @@ def make_gatherer(
     """
     front, back = entries.front_id[patches.patch], entries.back_id[patches.patch]
     none = len(entries)
-    front, back = np.where(front == none, back, front), np.where(back == none, front, back)
-    return Gatherer(scene, patches, bvh, front, back, none + 1, bins, offset)
+    bare = front == none, back == none
+    front, back = np.where(bare[0], back, front), np.where(bare[1], front, back)
+    return Gatherer(scene, patches, bvh, front, back, none + 1, bins, offset, bare)

@@ -11,7 +11,7 @@ import numpy as np
 from lightpanes.core.bake import Settings, bake
 from lightpanes.core.bake.steps import prepare
 from lightpanes.core.panes.clusters import cluster_mean, make_clusters
-from lightpanes.core.panes.training import clearance, free_air, illuminate, point_lamps
+from lightpanes.core.panes.training import free_air, illuminate, point_lamps, room_around
 
 from . import harness, scenes
 
@@ -32,7 +32,7 @@ def held_out(prepared, near: tuple[float, float] | None, seed: int) -> np.ndarra
     rng = np.random.default_rng(seed)
     chosen = rng.integers(0, len(prepared.places), 6 * LAMPS)
     air = free_air(prepared.places.take(chosen), prepared.bvh, prepared.scene.extent, seed, near)
-    air = air[clearance(air, prepared.bvh) > (FAR if near is None else NEAR[0])][:LAMPS]
+    air = air[room_around(air, prepared.gatherer) > (FAR if near is None else NEAR[0])][:LAMPS]
     assert len(air) == LAMPS
     each = len(prepared.places) // len(prepared.entries)
     return illuminate(point_lamps(air), prepared.places, each, prepared.tracer, seed + 5)
