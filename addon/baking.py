@@ -39,11 +39,12 @@ def bake_scene(context: bpy.types.Context, progress: Callable[[Progress], None] 
         report = result.meta.setdefault("report", {})
         report["warnings"] = warnings + [w for w in report.get("warnings", []) if w not in warnings]
         store.store_bake(scene, result, surfaces.albedo_map)
-    relight.adopt(scene, Relighter(result.panes(), Tracer(surfaces)))
-    report["warnings"] += nodes.attach(context, surfaces)
-    # after attaching, which may give materials to objects that have none
-    result.meta["fingerprint"] = extract.fingerprint(context)
-    store.write_meta(scene, result.meta)
+    with relight.paused():
+        relight.adopt(scene, Relighter(result.panes(), Tracer(surfaces)))
+        report["warnings"] += nodes.attach(context, surfaces)
+        # after attaching, which may give materials to objects that have none
+        result.meta["fingerprint"] = extract.fingerprint(context)
+        store.write_meta(scene, result.meta)
     report["relight_ms"] = round(relight.relight(context), 2)
     report["total_seconds"] = round(time.perf_counter() - start, 3)
     relight.pack()

@@ -13,12 +13,9 @@ import sys
 import time
 from pathlib import Path
 
-import blf
 import bpy
-import imbuf
-import numpy as np
-
 import lightpanes
+import numpy as np
 from lightpanes.addon import baking, commands, relight
 from lightpanes.core.bake import Progress
 from lightpanes.core.metrics import relative_rmse
@@ -56,9 +53,9 @@ def main() -> int:
         views = _views(scene, options, output, bar)
         bar(Progress("Done", 1.0, 0))
     report = {
+        **commands.context_of(source),
         "input": source.name,
         "lit": lit.name,
-        **commands.context_of(source),
         "bake": baked,
         "relights": relights,
         "views": views,
@@ -73,7 +70,7 @@ def _options():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--file", default=HERE / "cornell.blend", help="scene with an animated lamp")
     parser.add_argument("--output", default=HERE.parent / "out" / "demo", help="folder for the results")
-    parser.add_argument("--samples", type=int, default=128, help="Cycles samples per pixel of the reference")
+    parser.add_argument("--samples", type=int, default=64, help="Cycles samples per pixel of the reference")
     parser.add_argument("--size", type=int, default=320, help="width of a panel in pixels")
     return parser.parse_args()
 
@@ -191,6 +188,9 @@ def _compose(scene, panels, path: Path) -> None:
     settings.file_format = kept[0]
     settings.color_mode, settings.color_depth = kept[1:]
     bpy.data.images.remove(image)
+    import blf  # these two exist once bpy has been imported
+    import imbuf
+
     picture = imbuf.load(str(path))
     with blf.bind_imbuf(0, picture):
         blf.size(0, 16)

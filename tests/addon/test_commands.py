@@ -11,7 +11,6 @@ bpy = pytest.importorskip("bpy")
 from lightpanes.addon import commands, store  # noqa: E402
 from lightpanes.core.bake import Progress  # noqa: E402
 
-
 pytestmark = pytest.mark.usefixtures("quick")
 
 

@@ -9,7 +9,6 @@ import lightpanes  # noqa: E402
 from lightpanes.addon import atlas, baking, operators, store  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
 
-
 pytestmark = pytest.mark.usefixtures("quick")
 
 
@@ -27,12 +26,14 @@ def failing_bake():
 
 
 def everything():
-    """Names of all data-blocks, UV layers and custom properties, by kind."""
+    """Names of all data-blocks, UV layers and custom properties (4.5 lists the PropertyGroup among them), by kind."""
     kinds = ("images", "meshes", "objects", "collections", "node_groups", "materials", "texts", "lights", "worlds")
     found = {kind: sorted(item.name for item in getattr(bpy.data, kind)) for kind in kinds}
     found["layers"] = sorted((mesh.name, layer.name) for mesh in bpy.data.meshes for layer in mesh.uv_layers)
     found["active"] = sorted((m.name, m.uv_layers.active.name if m.uv_layers.active else "") for m in bpy.data.meshes)
-    found["properties"] = sorted((item.name, key) for item in bpy.data.objects for key in item.keys())
+    found["properties"] = sorted(
+        (item.name, key) for item in bpy.data.objects for key in item.keys() if key != "lightpanes"
+    )
     found["nodes"] = sorted((m.name, n.name) for m in bpy.data.materials if m.node_tree for n in m.node_tree.nodes)
     found["slots"] = sorted((o.name, [s.name for s in o.material_slots]) for o in bpy.data.objects)
     return found

@@ -10,7 +10,6 @@ bpy = pytest.importorskip("bpy")
 from lightpanes.addon import relight, store  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
 
-
 pytestmark = pytest.mark.usefixtures("quick")
 
 
