@@ -18,7 +18,7 @@ import numpy as np
 from ..core.scene import SceneError
 from . import visibility
 from .charts import lay_flat, next_loop
-from .meshes import LAYER, loop_triangles, read_attribute, weight_of
+from .meshes import LAYER, are_numbers, loop_triangles, read_attribute, weight_of
 from .packing import FEW, INSET, MARGIN, Charts, pack
 
 ANGLE_LIMIT = np.radians(66.0)
@@ -149,9 +149,9 @@ def _gather(context, objects) -> list[_Mesh]:
         weights = [max(weight_of(obj), 1e-6) for obj in owners]
         placed = [local @ world.T for world in worlds]
         for obj, positions in zip(owners, placed, strict=True):
-            if not np.isfinite(positions).all():
+            if not are_numbers(positions):
                 raise SceneError(
-                    f"'{obj.name}' has vertices that are not numbers (NaN or infinite): repair or delete them, or exclude the object."
+                    f"'{obj.name}' has vertices that are not numbers (NaN or infinite): repair or delete them, or hide the object from renders."
                 )
         areas = np.array([_area(positions, corners, faces) for positions in placed]) * weights
         ratios = np.sqrt(areas / max(areas[0], 1e-30)) if areas[0] > 0 else np.ones(len(owners))

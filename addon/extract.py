@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.scene import Scene, SceneError, SceneObject
 from . import lamps, materials, visibility
-from .meshes import LAYER, Faces, read_attribute, read_faces, weight_of
+from .meshes import LAYER, Faces, are_numbers, read_attribute, read_faces, weight_of
 
 GEOMETRY = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 NOT_TRACED = {"VOLUME": "a volume", "CURVES": "hair", "POINTCLOUD": "a point cloud", "GREASEPENCIL": "Grease Pencil"}
@@ -182,7 +182,7 @@ def _faces(obj, cache, original, warnings) -> Faces | None:
 
 
 def _check(faces, matrix, name) -> None:
-    if not (np.isfinite(faces.positions).all() and np.isfinite(np.array(matrix)).all()):
+    if not (are_numbers(faces.positions) and are_numbers(np.array(matrix))):
         raise SceneError(
             f"'{name}' has vertices that are not numbers (NaN or infinite): undo the edit or repair the modifier "
             "or transform that broke it, or hide the object from renders."

@@ -19,7 +19,7 @@ from .visibility import rendered_objects
 
 DILATION = 2  # texels that colours spread past a chart, so that filtering at its edge reads them
 SWATCH = 16  # texels a side of the square that gives a material's mean where it has no texels
-CORNERS = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4], [2, 2, 2]]) / 6.0  # points at which a triangle's map is read
+MEAN_SAMPLES = 1 << 16  # points at which a map is read for its mean
 
 
 def bake_maps(context, scene: Scene, used, sources, looks, wanted: set[str], resolution: int) -> None:
@@ -63,14 +63,19 @@ def _means(scene, image, placed) -> dict[int, np.ndarray]:
     """Mean of the map by area for each material on the placed triangles."""
     if not placed.any():
         return {}
-    uv = np.einsum("pc,tcd->tpd", CORNERS, scene.atlas_uv[placed])
+    area = np.linalg.norm(scene.triangle_cross()[placed], axis=1).cumsum()
+    strata = (np.arange(MEAN_SAMPLES) + 0.5) / MEAN_SAMPLES
+    chosen = np.minimum(np.searchsorted(area, strata * area[-1]), len(area) - 1)
+    # the plastic number's sequence spreads points evenly over the triangles that have many
+    u, v = (np.arange(MEAN_SAMPLES) * step % 1.0 for step in (0.7548776662466927, 0.5698402909980532))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    weights = np.stack([1 - u - v, u, v], axis=1)
+    uv = np.einsum("pc,pcd->pd", weights, scene.atlas_uv[placed][chosen])
     size = np.array(image.shape[1::-1])
-    x, y = np.moveaxis(np.clip((uv * size).astype(np.int64), 0, size - 1), -1, 0)
-    colour = image[y, x].mean(axis=1)
-    area = np.linalg.norm(scene.triangle_cross()[placed], axis=1)
-    index = scene.triangle_material[placed]
-    total = np.bincount(index, area)
-    sums = np.stack([np.bincount(index, area * colour[:, c]) for c in range(3)], axis=1)
+    x, y = np.clip((uv * size).astype(np.int64), 0, size - 1).T
+    index = scene.triangle_material[placed][chosen]
+    total = np.bincount(index)
+    sums = np.stack([np.bincount(index, image[y, x, c]) for c in range(3)], axis=1)
     return {int(k): sums[k] / total[k] for k in np.flatnonzero(total > 0)}
 
 

@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 
 LAYER = "Lightpanes"
+FARTHEST = 1e15  # m
 
 
 @dataclass
@@ -80,3 +81,8 @@ def loop_triangles(mesh: bpy.types.Mesh) -> np.ndarray:
     loops = np.empty(len(mesh.loop_triangles) * 3, np.int32)
     mesh.loop_triangles.foreach_get("loops", loops)
     return loops.reshape(-1, 3)
+
+
+def are_numbers(values: np.ndarray) -> bool:
+    """Whether all are finite and small enough to compute with: Blender stores infinity as its largest float."""
+    return bool((np.abs(values) < FARTHEST).all())
