@@ -319,7 +319,7 @@ def _attempt(meshes, layouts, density, grid):
     if placed is None:
         return None
     uvs, places = [None] * len(meshes), {}
-    moved = placed.apply(charts.points * density, _owners(charts)) / grid
+    moved = placed.apply(charts.points * density, charts.chart) / grid
     first = 0
     for i in singles:
         count = len(layouts[i].points)
@@ -358,12 +358,12 @@ def _block(layout, density, grid):
 
 def _together(layouts, boxes) -> Charts:
     """Charts of many meshes, then a fixed rectangle for each of `boxes` (n, 2), in metres."""
-    points, edges, owners = [np.zeros((0, 2))], [np.zeros((0, 2), np.int64)], [np.zeros(0, np.int64)]
+    points, owners, edges = [np.zeros((0, 2))], [np.zeros(0, np.int64)], [np.zeros((0, 2), np.int64)]
     loops = count = 0
     for layout in layouts:
         points.append(layout.points)
+        owners.append(layout.chart + count)
         edges.append(layout.edges + loops)
-        owners.append(layout.chart[layout.edges[:, 0]] + count)
         loops += len(layout.points)
         count += len(layout.areas)
     turnable = np.ones(count + len(boxes), bool)
@@ -371,17 +371,11 @@ def _together(layouts, boxes) -> Charts:
     ring = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float64)
     for box in np.maximum(boxes, 1e-9):
         points.append(ring * box)
-        edges.append(np.array([[0, 1], [1, 2], [2, 3], [3, 0]]) + loops)
         owners.append(np.full(4, count))
+        edges.append(np.array([[0, 1], [1, 2], [2, 3], [3, 0]]) + loops)
         loops += 4
         count += 1
-    return Charts(np.concatenate(points), np.concatenate(edges), np.concatenate(owners), count, turnable)
-
-
-def _owners(charts: Charts) -> np.ndarray:
-    owner = np.zeros(len(charts.points), np.int64)
-    owner[charts.edges[:, 0]] = charts.edge_chart
-    return owner
+    return Charts(np.concatenate(points), np.concatenate(owners), np.concatenate(edges), count, turnable)
 
 
 def _write_layer(data, uv) -> None:

@@ -16,7 +16,8 @@ from .packing import Charts
 
 @dataclass
 class Layout:
-    """Charts of one mesh: loops' points (L, 2) in metres, edges between loops, chart of each loop, areas."""
+    """Charts of one mesh: loops' points (L, 2) in metres, edges (E, 2) between loops along the charts' outlines,
+    chart (L,) of each loop, areas (C,) m²."""
 
     points: np.ndarray
     edges: np.ndarray
@@ -26,7 +27,7 @@ class Layout:
     @property
     def charts(self) -> Charts:
         count = len(self.areas)
-        return Charts(self.points, self.edges, self.chart[self.edges[:, 0]], count, np.ones(count, bool))
+        return Charts(self.points, self.chart, self.edges, count, np.ones(count, bool))
 
 
 def lay_flat(
@@ -38,11 +39,20 @@ def lay_flat(
     triangles (T, 3) loops, uv (L, 2) in [0, 1] with its charts apart.
     """
     counts = np.diff(np.append(faces, len(corners)))
-    chart = _charts_of(corners, uv, faces, counts)
+    key, chart = _charts_of(corners, uv, faces, counts)
     count = int(chart.max()) + 1
     points, areas = _true_size(positions[corners], uv, triangles, chart, count)
-    points = _upright(points, chart, count)
-    return Layout(points, np.stack([np.arange(len(corners)), next_loop(faces, len(corners))], axis=1), chart, areas)
+    edges = _outlines(key, chart, np.stack([np.arange(len(corners)), next_loop(faces, len(corners))], axis=1), count)
+    return Layout(_upright(points, chart, edges[:, 0], count), edges, chart, areas)
+
+
+def _outlines(key, chart, edges, count) -> np.ndarray:
+    """Edges with a face of their chart on one side only; all edges of a chart that has none such."""
+    ends = np.sort(key[edges], axis=1)
+    _, which, times = np.unique(ends[:, 0] * (key.max() + 1) + ends[:, 1], return_inverse=True, return_counts=True)
+    outer = (times == 1)[which.ravel()]
+    closed = np.bincount(chart[edges[outer, 0]], minlength=count) == 0
+    return edges[outer | closed[chart[edges[:, 0]]]]
 
 
 def next_loop(faces: np.ndarray, loops: int) -> np.ndarray:
@@ -52,8 +62,8 @@ def next_loop(faces: np.ndarray, loops: int) -> np.ndarray:
     return after
 
 
-def _charts_of(vertices, uv, faces, counts) -> np.ndarray:
-    """(L,) chart of each loop: faces that share a vertex at the same UV are one chart."""
+def _charts_of(vertices, uv, faces, counts) -> tuple[np.ndarray, np.ndarray]:
+    """(L,) key of each loop's vertex and UV, and (L,) its chart: faces that share a key are one chart."""
     quantum = np.round(np.clip(uv, 0, 1) * ((1 << 20) - 1)).astype(np.int64)
     _, key = np.unique((vertices.astype(np.int64) << 40) | (quantum[:, 0] << 20) | quantum[:, 1], return_inverse=True)
     key = key.ravel()
@@ -64,7 +74,7 @@ def _charts_of(vertices, uv, faces, counts) -> np.ndarray:
         np.minimum.at(new, key, np.repeat(lowest, counts))
         new = new[new]
         if np.array_equal(new, label):
-            return np.unique(label[key], return_inverse=True)[1].ravel()
+            return key, np.unique(label[key], return_inverse=True)[1].ravel()
         label = new
 
 
@@ -99,19 +109,23 @@ def _true_size(positions, uv, triangles, chart, count):
     return mapped, world
 
 
-def _upright(points, chart, count):
-    """Turn each chart to its smallest box (in steps of 2.5°) and move its corner to the origin."""
+def _upright(points, chart, outline, count):
+    """Turn each chart to its smallest box (in steps of 2.5°) and move its corner to the origin.
+
+    outline: points that are enough to measure every chart's box.
+    """
+    order = outline[np.argsort(chart[outline], kind="stable")]
+    owner, border = chart[order], points[order]
+    starts = np.searchsorted(owner, np.arange(count))
     best, angle = np.full(count, np.inf), np.zeros(count)
-    order = np.argsort(chart, kind="stable")
-    starts = np.searchsorted(chart[order], np.arange(count))
     for theta in np.radians(np.arange(0, 90, 2.5)):
-        turned = _turn(points, np.full(len(points), theta))[order]
+        turned = _turn(border, theta)
         box = np.maximum.reduceat(turned, starts) - np.minimum.reduceat(turned, starts)
         size = box.prod(axis=1)
         better = size < best * (1 - 1e-3)
         best[better], angle[better] = size[better], theta
-    turned = _turn(points, angle[chart])
-    return turned - np.minimum.reduceat(turned[order], starts)[chart]
+    corner = np.minimum.reduceat(_turn(border, angle[owner]), starts)
+    return _turn(points, angle[chart]) - corner[chart]
 
 
 def _turn(points, angle):

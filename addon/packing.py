@@ -23,14 +23,14 @@ EMPTY = np.iinfo(np.int32).max // 2
 class Charts:
     """Flat charts, in metres.
 
-    points: (P, 2) float64, every chart's minimum corner at the origin.
-    edges: (E, 2) int, pairs of points. edge_chart: (E,) int. count: number of charts.
+    points: (P, 2) float64, every chart's minimum corner at the origin. chart: (P,) int, of each point.
+    edges: (E, 2) int, pairs of points, at least every chart's outline. count: number of charts.
     turnable: (count,) bool, whether quarter turns are allowed.
     """
 
     points: np.ndarray
+    chart: np.ndarray
     edges: np.ndarray
-    edge_chart: np.ndarray
     count: int
     turnable: np.ndarray
 
@@ -102,21 +102,21 @@ def _grow(bottom, top, starts):
     return [(bottom[first:last], top[first:last]) for first, last in ends]
 
 
-def pack(charts: Charts, density: float | np.ndarray, width: int, height: int | None = None) -> Placement | None:
-    """Pack at `density` cells per metre ((count,) or scalar) into width × height cells.
+def pack(charts: Charts, density: float, width: int, height: int | None = None) -> Placement | None:
+    """Pack at `density` cells per metre into width × height cells.
 
     None when the charts don't fit; without height the strip is as high as it needs to be. Few charts
     are tried in two orders, for luck matters with them and time does not.
     """
-    scale = np.broadcast_to(density, charts.count)
-    points = charts.points * scale[_point_chart(charts)][:, None] + INSET
+    points = charts.points * density + INSET
+    edge_chart = charts.chart[charts.edges[:, 0]]
     extent = np.ones((charts.count, 2), np.int64)
     ends = points[charts.edges].max(axis=1)
-    np.maximum.at(extent, charts.edge_chart, np.ceil(ends + INSET - 1e-6).astype(np.int64))
+    np.maximum.at(extent, edge_chart, np.ceil(ends + INSET - 1e-6).astype(np.int64))
     grown = extent + 2 * MARGIN
     if (grown.min(axis=1) > width).any() or (height and (grown.max(axis=1) > max(width, height)).any()):
         return None
-    edges = charts.edges, charts.edge_chart, charts.count
+    edges = charts.edges, edge_chart, charts.count
     columns = _grow(*_profiles(points, *edges, 0, extent))
     rows = _grow(*_profiles(points, *edges, 1, extent))
     orders = [extent.prod(axis=1), extent.max(axis=1)]
@@ -167,12 +167,6 @@ def _drop(columns, rows, extent, turnable, order, width, height) -> Placement | 
         skyline[x : x + len(top)] = y + top
         offset[k] = x + MARGIN, y + MARGIN
     return Placement(offset, turn, extent, int(skyline.max()))
-
-
-def _point_chart(charts):
-    chart = np.zeros(len(charts.points), np.int64)
-    chart[charts.edges] = charts.edge_chart[:, None]
-    return chart
 
 
 def _turns(column, row, extent, turnable):

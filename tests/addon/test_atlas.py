@@ -333,7 +333,7 @@ def test_packing_in_every_turn_keeps_charts_apart(seed):
     edges = np.arange(count * 3).reshape(count, 3)
     edges = np.stack([edges, np.roll(edges, -1, axis=1)], axis=2).reshape(-1, 2)
     owner = np.repeat(np.arange(count), 3)
-    placed = packing.pack(packing.Charts(points.reshape(-1, 2), edges, owner, count, np.ones(count, bool)), 1.0, size)
+    placed = packing.pack(packing.Charts(points.reshape(-1, 2), owner, edges, count, np.ones(count, bool)), 1.0, size)
     moved = placed.apply(points.reshape(-1, 2), owner).reshape(count, 3, 2)
     assert set(placed.turn) == {0, 1, 2, 3}
     cells = np.full((placed.height, size), -1)
