@@ -119,33 +119,33 @@ def pillars() -> None:
     for y in (-2.0, 0.25, 2.5):
         for x in (-1.55, 1.55):
             plinths.box((x - 0.3, y - 0.3, 0), (x + 0.3, y + 0.3, 0.32), skip="-z")
-            plinths.box((x - 0.28, y - 0.28, 2.82), (x + 0.28, y + 0.28, 2.94))
+            plinths.box((x - 0.28, y - 0.28, 2.82), (x + 0.28, y + 0.28, 2.94), skip="+z")
     plinths.build("Plinths", green_marble)
     beams = Shape()
     for x in (-1.55, 1.55):
-        beams.box((x - 0.22, -4, 2.942), (x + 0.22, 4, 3.2), skip="-y +y")
+        beams.box((x - 0.22, -4, 2.94), (x + 0.22, 4, 3.2), skip="-y +y")
     beams.build("Beams", marble)
 
     steps = Shape()
-    for k in range(3):
-        steps.box((-1.15, 2.2 + 0.3 * k, 0.14 * k), (1.15, 4, 0.14 * (k + 1)), skip="-z +y")
+    side = [(4.0, 0.0), (4.0, 0.42), (2.8, 0.42), (2.8, 0.28), (2.5, 0.28), (2.5, 0.14), (2.2, 0.14), (2.2, 0.0)]
+    steps.prism(side, -1.15, 1.15, skip=(0, 7))
     steps.build("Steps", light_tile)
     pedestal = Shape()
     pedestal.box((-0.28, 3.02, 0.42), (0.28, 3.58, 1.05), skip="-z")
     pedestal.build("Pedestal", green_marble)
     vase = Shape()
-    turned = [(0.0, 1.052), (0.15, 1.052), (0.12, 1.1), (0.2, 1.22), (0.3, 1.45), (0.31, 1.6), (0.22, 1.78)]
+    turned = [(0.15, 1.05), (0.12, 1.1), (0.2, 1.22), (0.3, 1.45), (0.31, 1.6), (0.22, 1.78)]
     turned += [(0.12, 1.88), (0.17, 1.97)]
-    vase.lathe(turned, 22, (0, 3.3, 0))
+    vase.lathe(turned, 32, (0, 3.3, 0))
     vase.build("Vase", bronze, smooth=True)
 
     for name, x, y0, y1 in (("Left Screen", -1.55, -1.65, -0.1), ("Right Screen", 1.55, 0.6, 2.15)):
         screen = Shape()
-        for k in range(18):
-            y = y0 + (y1 - y0) * k / 17
-            screen.box((x - 0.006, y - 0.022, 0.302), (x + 0.006, y + 0.022, 1.598))
-        for z in (0.08, 0.26, 1.6):
-            screen.box((x - 0.02, y0 - 0.03, z), (x + 0.02, y1 + 0.03, z + 0.04))
+        for k in range(21):
+            y = y0 + (y1 - y0) * k / 20
+            screen.box((x - 0.006, y - 0.02, 0.26), (x + 0.006, y + 0.02, 1.6), skip="-z +z")
+        for z in (0.0, 0.22, 1.6):
+            screen.box((x - 0.02, y0 - 0.03, z), (x + 0.02, y1 + 0.03, z + 0.04), skip="" if z else "-z")
         screen.build(name, bronze)
 
     lamp(
@@ -225,24 +225,24 @@ def two_rooms() -> None:
     frame.box((x0, back, z0), (x1, back + 0.18, z1), inward=True, skip="-y +y")
     middle = (x0 + x1) / 2
     frame.box((middle - 0.025, back + 0.09, z0), (middle + 0.025, back + 0.13, z1), skip="-z +z")
-    frame.box((x0 - 0.06, back - 0.16, z0 - 0.05), (x1 + 0.06, back - 0.002, z0 - 0.01))
+    frame.box((x0 - 0.06, back - 0.16, z0 - 0.05), (x1 + 0.06, back, z0 - 0.01), skip="+y")
     frame.build("Window", frame_paint)
 
     table = Shape()
     table.box((-2.95, -0.75, 0.70), (-1.55, 0.05, 0.74))
     for x in (-2.85, -1.71):
         for y in (-0.67, -0.09):
-            table.box((x, y, 0), (x + 0.06, y + 0.06, 0.699), skip="-z +z")
+            table.box((x, y, 0), (x + 0.06, y + 0.06, 0.7), skip="-z +z")
     table.build("Table", wood)
     bowl = Shape()
     bowl.lathe(
-        [(0.0, 0.742), (0.07, 0.742), (0.16, 0.80), (0.2, 0.88), (0.19, 0.88), (0.14, 0.81), (0.0, 0.77)],
+        [(0.07, 0.74), (0.16, 0.80), (0.2, 0.88), (0.19, 0.88), (0.14, 0.81), (0.0, 0.77)],
         24,
         (-2.4, -0.35, 0),
     )
     bowl.build("Bowl", glaze, smooth=True)
     plant = Shape()
-    plant.lathe([(0.0, 0.002), (0.15, 0.002), (0.2, 0.36), (0.18, 0.36), (0.0, 0.32)], 20, (-0.42, -1.2, 0), 0)
+    plant.lathe([(0.15, 0.0), (0.2, 0.36), (0.18, 0.36), (0.0, 0.32)], 20, (-0.42, -1.2, 0), 0)
     for k in range(11):
         turn = (
             Matrix.Translation((-0.42, -1.2, 0.32))
@@ -255,10 +255,10 @@ def two_rooms() -> None:
     plant.build("Plant", glaze, leaves)
 
     sofa = Shape()
-    sofa.box((0.95, 0.85, 0.06), (2.75, 1.45, 0.42))
-    sofa.box((0.95, 1.452, 0.06), (2.75, 1.7, 0.86))
-    sofa.box((0.72, 0.85, 0.06), (0.948, 1.7, 0.6))
-    sofa.box((2.752, 0.85, 0.06), (2.98, 1.7, 0.6))
+    side = [(0.85, 0.0), (1.7, 0.0), (1.7, 0.86), (1.45, 0.86), (1.45, 0.42), (0.85, 0.42)]
+    sofa.prism(side, 0.95, 2.75, skip=(0,))
+    for x in (0.72, 2.7):
+        sofa.box((x, 0.82, 0), (x + 0.28, 1.68, 0.6), skip="-z")
     sofa.build("Sofa", cloth)
     pillow = Shape()
     tilt = (
@@ -273,13 +273,13 @@ def two_rooms() -> None:
     rug.build("Rug", cushion)
     stool = Shape()
     stool.lathe(
-        [(0.0, 0.014), (0.14, 0.014), (0.05, 0.05), (0.045, 0.34), (0.24, 0.37), (0.25, 0.41), (0.0, 0.415)],
+        [(0.14, 0.012), (0.05, 0.05), (0.045, 0.34), (0.24, 0.37), (0.25, 0.41), (0.0, 0.415)],
         24,
         (1.75, -0.3, 0),
     )
     stool.build("Stool", wood, smooth=True)
     picture = Shape()
-    picture.box((1.25, back - 0.03, 1.25), (2.45, back - 0.002, 1.95), 0)
+    picture.box((1.25, back - 0.03, 1.25), (2.45, back, 1.95), skip="+y")
     picture.build("Picture", frame_paint)
 
     lamp("Sun", "SUN", (-4.3, 10.5, 6.2), 30.0, (1.0, 0.84, 0.62), aim=(-1.4, -0.5, 0.0), angle=math.radians(0.6))
@@ -354,20 +354,20 @@ def stairs() -> None:
     turn = Matrix.Rotation(math.radians(-90), 4, "Z")
 
     _flight("Flight Left", stone, 10, 0.27, 0.19, 1.1, upright @ Matrix.Translation((-2.25, -1.9, 0)))
-    _slab("Landing", stone, upright, (-2.998, 0.802, 1.74), (-0.2, 2.6, 1.9))
-    _flight("Flight Back", stone, 8, 0.27, 0.19, 1.0, upright @ Matrix.Translation((-0.198, 2.0, 1.9)) @ turn)
+    _slab("Landing", stone, upright, (-3, 0.8, 1.74), (-0.2, 2.6, 1.9), "-x")
+    _flight("Flight Back", stone, 8, 0.27, 0.19, 1.0, upright @ Matrix.Translation((-0.2, 2.0, 1.9)) @ turn, hangs=True)
 
-    _slab("Back Landing", stone, upright, (1.964, 1.4, 3.26), (2.998, 2.6, 3.42))
+    _slab("Back Landing", stone, upright, (1.96, 1.4, 3.26), (3, 2.6, 3.42), "+x")
 
     _flight("Flight Side", stone, 9, 0.27, 0.19, 1.0, sideways @ Matrix.Translation((-2.1, -2.2, 0)))
-    _slab("Side Landing", stone, sideways, (-2.7, 0.232, 1.55), (-0.9, 1.3, 1.71))
+    _slab("Side Landing", stone, sideways, (-2.7, 0.23, 1.55), (-0.9, 1.3, 1.71))
     _flight("Flight Ceiling", stone, 8, 0.27, 0.19, 1.1, inverted @ Matrix.Translation((-1.7, -1.6, 0)))
-    _slab("Ceiling Landing", stone, inverted, (-2.6, 0.562, 1.36), (-0.8, 2.4, 1.52))
+    _slab("Ceiling Landing", stone, inverted, (-2.6, 0.56, 1.36), (-0.8, 2.4, 1.52))
     _flight("Flight Ochre", stone, 7, 0.27, 0.19, 1.0, outward @ Matrix.Translation((-1.7, -1.4, 0)))
-    _slab("Ochre Landing", stone, outward, (-2.4, 0.492, 1.17), (-0.9, 1.9, 1.33))
+    _slab("Ochre Landing", stone, outward, (-2.4, 0.49, 1.17), (-0.9, 1.9, 1.33))
 
     doors = Shape()
-    for frame, x, y, z in ((upright, -1.0, 2.45, 1.902), (sideways, -2.0, 1.1, 1.712), (outward, -1.65, 1.7, 1.332)):
+    for frame, x, y, z in ((upright, -1.0, 2.45, 1.9), (sideways, -2.0, 1.1, 1.71), (outward, -1.65, 1.7, 1.33)):
         _arch(doors, frame @ Matrix.Translation((x, y, z)))
     doors.build("Arches", rust)
 
@@ -381,11 +381,11 @@ def stairs() -> None:
     )
     for k, (frame, x, y, z) in enumerate(walkers):
         walker = Shape()
-        outline = [(0.0, 0.0), (0.15, 0.0), (0.155, 0.05), (0.09, 0.2), (0.06, 0.46), (0.09, 0.5), (0.05, 0.52)]
+        outline = [(0.15, 0.0), (0.155, 0.05), (0.09, 0.2), (0.06, 0.46), (0.09, 0.5), (0.05, 0.52)]
         outline += [(0.095, 0.58), (0.1, 0.63), (0.07, 0.7), (0.0, 0.73)]
         walker.lathe(outline, 20)
         walker.build(
-            f"Walker {k + 1}", peg if k % 2 else rust, smooth=True, place=frame @ Matrix.Translation((x, y, z + 0.003))
+            f"Walker {k + 1}", peg if k % 2 else rust, smooth=True, place=frame @ Matrix.Translation((x, y, z))
         )
 
     panel = lamp(
@@ -405,9 +405,9 @@ def stairs() -> None:
     camera((0, -11.4, 3), (0, 0, 3), lens=48.5, clip_start=8.42, size=(800, 780))
 
 
-def _slab(name, material, frame, low, high):
+def _slab(name, material, frame, low, high, skip=""):
     shape = Shape()
-    shape.box(low, high, place=frame)
+    shape.box(low, high, skip=skip, place=frame)
     shape.build(name, material)
 
 
@@ -416,18 +416,23 @@ def _arch(shape, frame):
     head = [(math.cos(math.pi * k / 10), math.sin(math.pi * k / 10)) for k in range(11)]
     outer = [(0.45, 0.0), *((0.45 * y, 1.25 + 0.45 * z) for y, z in head), (-0.45, 0.0)]
     inner = [(0.35, 0.0), *((0.35 * y, 1.25 + 0.35 * z) for y, z in head), (-0.35, 0.0)]
-    shape.prism([*outer, *reversed(inner)], -0.06, 0.06, place=frame @ Matrix.Rotation(math.radians(90), 4, "Z"))
+    outline = [*outer, *reversed(inner)]
+    feet = (len(outer) - 1, len(outline) - 1)
+    shape.prism(outline, -0.06, 0.06, skip=feet, place=frame @ Matrix.Rotation(math.radians(90), 4, "Z"))
 
 
-def _flight(name, material, count, run, rise, width, place, thickness=0.16):
-    """Steps that climb along the local +y from the origin, centred on x, with a sloping underside."""
+def _flight(name, material, count, run, rise, width, place, thickness=0.16, hangs=False):
+    """Steps that climb along the local +y from the origin, centred on x, with a sloping underside.
+
+    They end at a landing, so that end is open; so is the foot of the first step, unless it hangs in the air.
+    """
     top = []
     for k in range(count):
         top += [(k * run, k * rise), (k * run, (k + 1) * rise)]
     top.append((count * run, count * rise))
     outline = [(run, 0.0), (count * run, count * rise - thickness), *reversed(top)]
     shape = Shape()
-    shape.prism(outline, -width / 2, width / 2)
+    shape.prism(outline, -width / 2, width / 2, skip=(1,) if hangs else (1, len(outline) - 1))
     return shape.build(name, material, place=place)
 
 

@@ -98,16 +98,23 @@ class Shape:
         low: float,
         high: float,
         slot: int = 0,
+        skip: Sequence[int] = (),
         place: Matrix | None = None,
     ) -> None:
-        """Extrude an outline of (y, z), counter-clockwise seen from +x, along x from low to high."""
+        """Extrude an outline of (y, z), counter-clockwise seen from +x, along x from low to high.
+
+        skip: numbers of the outline's edges that get no face; edge k starts at point k.
+        """
         place = place or Matrix()
         count = len(outline)
         self.face([place @ Vector((high, y, z)) for y, z in outline], slot)
         self.face([place @ Vector((low, y, z)) for y, z in reversed(outline)], slot)
         for i in range(count):
+            if i in skip:
+                continue
             (y0, z0), (y1, z1) = outline[i], outline[(i + 1) % count]
-            self.face([place @ Vector(p) for p in ((low, y0, z0), (low, y1, z1), (high, y1, z1), (high, y0, z0))], slot)
+            corners = ((low, y0, z0), (low, y1, z1), (high, y1, z1), (high, y0, z0))
+            self.face([place @ Vector(p) for p in corners], slot)
 
     def build(
         self, name: str, *materials: bpy.types.Material, smooth: bool = False, place: Matrix | None = None
