@@ -153,10 +153,14 @@ def _info(options) -> int:
 def _chart(options) -> int:
     path = _open(options)
     output = _folder(options, path)
-    from . import chart
+    try:
+        from . import chart
 
-    code = chart.run(path, output)
-    return code
+        return chart.run(path, output)
+    except ModuleNotFoundError as error:
+        if not (error.name or "").startswith("matplotlib"):
+            raise
+        raise UserError("Charts need matplotlib: pip install matplotlib.") from error
 
 
 def _open(options) -> Path:

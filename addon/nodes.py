@@ -180,7 +180,8 @@ def _empty_slot(item, index):
 def _attach_material(material, group, baked: Material | None):
     if material.node_tree is not None and _pair(material.node_tree, "EEVEE") is not None:
         _detach_material(material)  # another scene's: the last bake shows
-    if not material.use_nodes:
+    # from 5.0 on every material uses nodes, and asking is deprecated
+    if material.node_tree is None or (bpy.app.version < (5, 0) and not material.use_nodes):
         _use_nodes(material)
     color, value, mapped = _albedo(material.node_tree, baked)
     node = _add_pair(material, "EEVEE", group, None)

@@ -51,7 +51,7 @@ class LIGHTPANES_PT_render(_Panel, bpy.types.Panel):
             _sentence(box, context, "The bake is damaged; bake again.", "ERROR")
             return
         report = meta.get("report", {})
-        box.label(text=operators.summary(report), icon="INFO")
+        _sentence(box, context, operators.summary(report), "INFO")
         if current.milliseconds:
             box.label(text=f"Last relight {current.milliseconds:.1f} ms", icon="TIME")
         if current.error:

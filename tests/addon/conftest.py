@@ -47,7 +47,8 @@ def room(blender):
     scene.collection.objects.link(lamp)
     for name, color in (("Room", (0.7, 0.6, 0.5)), ("Block", (0.2, 0.4, 0.7))):
         material = bpy.data.materials.new(name)
-        material.use_nodes = True
+        if material.node_tree is None:
+            material.use_nodes = True
         shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
         shader.inputs["Base Color"].default_value = (*color, 1)
         shader.inputs["Specular IOR Level"].default_value = 0.0  # diffuse alone, so that closed forms hold

@@ -150,7 +150,8 @@ def test_mirrors_show_baked_light(room):
     dark(room)
     bpy.ops.mesh.primitive_plane_add(size=1.9, location=(0, 0.9, 0), rotation=(math.pi / 2, 0, 0))
     mirror = bpy.data.materials.new("Mirror")
-    mirror.use_nodes = True
+    if mirror.node_tree is None:
+        mirror.use_nodes = True
     tree = mirror.node_tree
     glossy = tree.nodes.new("ShaderNodeBsdfGlossy")
     glossy.inputs["Roughness"].default_value = 0.0
