@@ -172,7 +172,7 @@ def _cap_samples(light, rows, middle, normal, cosine, sine2, distance, free, str
     tangent, bitangent = (t.T for t in frame(np.stack(middle, axis=1)))
     reference = z * cosine + a * dot(normal, tangent) + b * dot(normal, bitangent)
     np.maximum(reference, 0, out=reference)
-    blind = np.flatnonzero(~reference.any(axis=0))
+    blind = np.flatnonzero(reference.max(axis=0) <= 0)
     if len(blind):
         # every sample is below the horizon and yet a sliver of the lamp is above: look at its top
         rise_a, rise_b = dot(normal, tangent)[blind], dot(normal, bitangent)[blind]
@@ -337,7 +337,7 @@ def _lambertian(rows, place, normal, width, height, round_, axes, strata) -> _Li
     else:
         a, b = width * (u - _F(0.5)) - x, height * (v - _F(0.5)) - y
     reference = _brought(a, b, z, normal)
-    blind = np.flatnonzero(~reference.any(axis=0))
+    blind = np.flatnonzero(reference.max(axis=0) <= 0)
     if len(blind):
         top = [np.sign(normal[0, blind]) * width, np.sign(normal[1, blind]) * height]
         if round_:
@@ -415,7 +415,7 @@ def _soft_box(light, rows, place, normal, width, height, round_, axes, strata) -
             free += part * (at(across[:, None], v, *side)[2] * share[:, None]).sum(axis=0)
     u, v = strata(rows)
     a, b, reference = at(u, v)
-    blind = np.flatnonzero(~reference.any(axis=0))
+    blind = np.flatnonzero(reference.max(axis=0) <= 0)
     if len(blind):
         top = at((normal[0] > 0) * _F(0.98) + _F(0.01), (normal[1] > 0) * _F(0.98) + _F(0.01))
         a[0, blind], b[0, blind] = top[0][blind], top[1][blind]
