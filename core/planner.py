@@ -60,7 +60,7 @@ def plan(scene: Scene, settings: Settings) -> Budget:
     finer = 0.05 / settings.error_target
     budget = Budget(
         entries=_clamp(4096 * finer**0.6, 800, 10_000),
-        entry_rays=_clamp(3072 * finer, 512, 8192),
+        entry_rays=_clamp(512 * finer, 256, 4096),
         exit_rays=_clamp(256 * finer, 64, 2048),
         regions=_clamp(160 * finer**0.3, 48, 256),
         panes=16 if finer <= 2 else 24,

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..lights import sky_radiance
 from ..panes.modes import Modes, learn_modes, training_fields
-from ..panes.regions import features, make_regions, nearest
+from ..panes.regions import features, make_regions, nearest, split_regions
 from ..panes.training import illuminate, training_lamps
 from ..panes.weights import PaneWeights, make_weights
 from ..planner import Budget, Settings, plan
@@ -101,7 +101,8 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
     radiosity, field = training_fields(entries, transport, direct)
     clock.tick(1, 0)
     points = features(entries.position, entries.normal, scene.extent)
-    region = make_regions(points, entries.area, budget.regions, seed)
+    region = make_regions(points, entries.area, max(budget.regions // 4, 1), seed)
+    region = split_regions(region, points, entries.area, field[:, ::2], budget.regions, budget.panes)
     modes = learn_modes(entries, region, radiosity, field, budget.panes)
     clock.tick(1, 0)
     weights = make_weights(entries, transport, modes, entries.albedo.mean(axis=1, keepdims=True) * direct[:, ::8])

@@ -1,4 +1,4 @@
-"""Split the surface into regions, each of which keeps its own few panes."""
+"""Cut the surface into regions, each of which keeps its own few panes."""
 
 from __future__ import annotations
 
@@ -28,6 +28,42 @@ def make_regions(points: np.ndarray, area: np.ndarray, count: int, seed: int = 0
         centre = np.where(weight[:, None] > 0, sums / np.maximum(weight, 1e-30)[:, None], centre).astype(np.float32)
     _, region = np.unique(nearest(points, centre), return_inverse=True)
     return region.reshape(-1).astype(np.int32)
+
+
+def split_regions(
+    region: np.ndarray, points: np.ndarray, area: np.ndarray, field: np.ndarray, count: int, panes: int
+) -> np.ndarray:
+    """(n,) int32: the regions, split where panes lose most until there are `count`.
+
+    region: (n,) int32 to begin with. points: (n, d) features. area: (n,) m². field: (n, s) float32 training
+    fields. panes: modes that each region will keep. What a region loses is the energy of its part of the
+    fields beyond those modes, so regions end up small where lamps make much detail.
+    """
+    root = np.sqrt(area / area.mean()).astype(np.float32)[:, None]
+
+    def lost(rows):
+        if len(rows) <= panes:
+            return 0.0
+        block = root[rows] * field[rows]
+        return float(np.linalg.eigvalsh(block @ block.T)[:-panes].sum())
+
+    groups = [np.flatnonzero(region == r) for r in range(int(region.max()) + 1)]
+    losses = [lost(rows) for rows in groups]
+    # one split a step: which region is worst depends on the splits before
+    while len(groups) < count and max(losses) > 0:
+        worst = int(np.argmax(losses))
+        rows = groups[worst]
+        centred = points[rows] - np.average(points[rows], axis=0, weights=area[rows])
+        axis = np.linalg.eigh((centred * area[rows, None]).T @ centred)[1][:, -1]
+        order = rows[np.argsort(centred @ axis, kind="stable")]
+        halves = order[: len(order) // 2], order[len(order) // 2 :]
+        groups[worst] = halves[0]
+        groups.append(halves[1])
+        losses[worst] = lost(halves[0])
+        losses.append(lost(halves[1]))
+    result = np.empty(len(region), np.int32)
+    result[np.concatenate(groups)] = np.repeat(np.arange(len(groups), dtype=np.int32), [len(g) for g in groups])
+    return result
 
 
 def nearest(points: np.ndarray, centre: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..rays import CHUNK, LAYERS, Bvh, Transmission, chunks, in_threads
+from ..rays import CHUNK, LAYERS, Bvh, Tracer, Transmission, chunks, in_threads
 from ..sampling import cosine_hemisphere, frame, hammersley_points, hash_uniform
 from ..scene import Scene
 from ..surface import Patches, SurfaceSamples
@@ -58,6 +58,7 @@ class Gatherer:
         clear = self._transmission.see_through[patches.parent]
         self._clear = np.append(clear, False)
         self._any_clear = bool(clear.any())
+        self._tracer = Tracer(scene, threads=1) if self._any_clear else None
 
     def gather(
         self,
@@ -95,11 +96,22 @@ class Gatherer:
 
         in_threads(chunk, chunks(len(points)), threads)
 
+    def visible(self, origins: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+        """(n,) float32 part of the light between places that passes: origins + t · vectors, 0 < t < 1."""
+        origins, vectors = np.ascontiguousarray(origins), np.ascontiguousarray(vectors)
+        if self._any_clear:
+            seen = self._tracer.visibility(origins, vectors)
+            return seen if seen.ndim == 1 else seen.mean(axis=1)
+        blocked = [self.bvh.occluded(origins[s], vectors[s]) for s in chunks(len(origins))]
+        return 1 - np.concatenate(blocked or [np.zeros(0)]).astype(np.float32)
+
     def dead_ends(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(n,) bool, whether rays meet a side that has no entry of its own, and (n,) float32 distances, m."""
         hits = self.bvh.hits(origins, directions)
         behind = np.einsum("nd,nd->n", self._flat.take(hits.triangle, axis=0, mode="wrap"), directions) > 0
-        bare = np.where(behind, self._bare[1].take(hits.triangle, mode="wrap"), self._bare[0].take(hits.triangle, mode="wrap"))
+        bare = np.where(
+            behind, self._bare[1].take(hits.triangle, mode="wrap"), self._bare[0].take(hits.triangle, mode="wrap")
+        )
         return bare & (hits.triangle >= 0), hits.distance
 
     @staticmethod

@@ -24,7 +24,9 @@ def flood(scene: Scene, patches: Patches, bvh: Bvh, offset: float, seed: int = 0
     clear = Transmission(scene).see_through[patches.parent]
     cross = np.cross(patches.corners[:, 1] - patches.corners[:, 0], patches.corners[:, 2] - patches.corners[:, 0])
     # float64: millimetre scenes
-    flat = (cross / np.maximum(np.linalg.norm(cross.astype(np.float64), axis=1, keepdims=True), 1e-300)).astype(np.float32)
+    flat = (cross / np.maximum(np.linalg.norm(cross.astype(np.float64), axis=1, keepdims=True), 1e-300)).astype(
+        np.float32
+    )
     for bounce in range(BOUNCES):
         hits = bvh.hits(np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32))
         met = np.flatnonzero(hits.triangle >= 0)

@@ -1,7 +1,7 @@
 """The transport between entries, and all bounces by a linear solve.
 
 Radiosity x = ρ (b + F x) + e, with b the direct irradiance of the entries, ρ their albedo, e what they
-emit, and F the form factors that the gather counts (design, "Gather, then solve").
+emit, and F the form factors (design, "Gather, then solve").
 """
 
 from __future__ import annotations
@@ -16,9 +16,13 @@ from ..scene import Scene
 from ..surface import Patches
 from .entries import Entries
 from .gather import Gatherer
+from .pairs import far_pairs, sample_pairs
 
 PLACES = 16
 """Places on each entry from which its rays start."""
+
+PAIR_SAMPLES = 2
+"""Rays between each pair of distant entries."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,10 @@ def make_transport(
     seed: int = 0,
     tick: Callable[[int], None] | None = None,
 ) -> Transport:
-    """Count where `rays` cosine rays of each entry land; reciprocity, A_i F_ij = A_j F_ji, halves the noise."""
+    """Form factors: near pairs by where `rays` cosine rays of each entry land, far pairs by sampling the pair.
+
+    Reciprocity, A_i F_ij = A_j F_ji, makes one estimate of both directions.
+    """
     count, columns = len(entries), gatherer.size
     places = min(PLACES, rays)
     points = entries.points(scene, patches, places, seed + 31)
@@ -79,18 +86,40 @@ def make_transport(
     gatherer.gather(points, each, seed + 32, consume, tick)
     between = counts[:, :count]
     sky = np.ascontiguousarray(counts[:, count + 1 :])
+    # what the hemisphere's rays say about the sum over all entries is exact where no ray escapes
+    reach = between.sum(axis=1)
+    samples = [points.take(np.arange(count) * places + k) for k in range(PAIR_SAMPLES)]
+    terms = sample_pairs(samples, entries.area, gatherer.offset, gatherer.visible, tick)
     area = entries.area.astype(np.float32)
+    size = np.sqrt(area)
+    middle = entries.position - entries.position.mean(axis=0)
     for start in range(0, count, 512):
-        # in place, block by block of the upper triangle: a second full matrix would double the memory
+        # block by block of the upper triangle, in place: a second full matrix would double the memory
         rows = slice(start, min(start + 512, count))
+        far = far_pairs(middle, size, rows)
         for left in range(start, count, 512):
             cols = slice(left, min(left + 512, count))
             # each direction weighted by its certainty: a sliver that few rays of a large entry find must not
             # be given more light than there is
             mean = (between[rows, cols] + between[cols, rows].T) / (area[rows, None] + area[cols])
+            mean = np.where(far[:, cols], terms[rows, cols], mean)
             between[rows, cols] = mean * area[cols]
             between[cols, rows] = mean.T * area[rows]
-    return Transport(np.ascontiguousarray(between), sky)
+    between = np.ascontiguousarray(between)
+    _balance(between, reach)
+    return Transport(between, sky)
+
+
+def _balance(between: np.ndarray, reach: np.ndarray) -> None:
+    """Scale in place, symmetrically, so that row i sums to reach[i]: no light appears or is lost (Sinkhorn)."""
+    scale = np.ones(len(reach), np.float32)
+    for _ in range(8):
+        found = scale * (between @ scale)
+        scale *= np.sqrt(np.where(found > 0, reach / np.maximum(found, 1e-20), 1))
+    # a row that all but nothing reaches must not be blown up
+    np.clip(scale, 0.7, 1.4, out=scale)
+    between *= scale[:, None]
+    between *= scale
 
 
 def make_gatherer(
