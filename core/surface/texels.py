@@ -94,7 +94,7 @@ def make_texels(scene: Scene, resolution: int) -> Texels:
     offsets = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
     offsets = offsets[np.argsort((offsets**2).sum(1), kind="stable")][1:]
     near = _next_to(centred.reshape(resolution, resolution)).ravel()
-    left = np.flatnonzero(near | _touched(flat, resolution) & ~centred)
+    left = np.flatnonzero(near)
     for offset in offsets:
         if not len(left):
             break
@@ -103,6 +103,12 @@ def make_texels(scene: Scene, resolution: int) -> Texels:
         rows = left[hit]
         triangle[rows], u[rows], v[rows] = found[hit], fu[hit], fv[hit]
         left = left[~hit]
+    # charts thinner than the probes' spacing
+    for piece in chunks(len(flat), 65536):
+        crossed, owner, inside = _crossed(flat[piece], resolution)
+        lost = triangle[crossed] < 0
+        crossed, owner, inside = crossed[lost], owner[lost] + piece.start, inside[lost]
+        triangle[crossed], u[crossed], v[crossed] = owner, inside[:, 1], inside[:, 2]
     index = np.flatnonzero(triangle >= 0).astype(np.int32)
     weights = np.stack([1 - u[index] - v[index], u[index], v[index]], 1)
     # off the very edge, where a wall may stand
@@ -122,9 +128,17 @@ def _next_to(mask: np.ndarray) -> np.ndarray:
     return near & ~mask
 
 
-def _touched(flat: np.ndarray, resolution: int) -> np.ndarray:
-    """(resolution²,) bool: texels near a chart corner, so that charts thinner than a texel are not lost."""
-    corners = np.clip(flat[:, :, :2].astype(np.int32), 0, resolution - 1).reshape(-1, 2)
-    mask = np.zeros((resolution, resolution), bool)
-    mask[corners[:, 1], corners[:, 0]] = True
-    return mask.ravel()
+def _crossed(flat: np.ndarray, resolution: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Texels (m,) that the edges of chart triangles cross, those triangles (m,), and weights (m, 3) of a place there."""
+    start, end = flat[:, :, :2], np.roll(flat[:, :, :2], -1, axis=1)
+    steps = np.ceil(2 * np.linalg.norm(end - start, axis=2)).astype(np.int64).ravel() + 1
+    edge = np.repeat(np.arange(len(steps)), steps)
+    along = (np.arange(len(edge)) - np.repeat(np.cumsum(steps) - steps, steps)) / np.maximum(steps - 1, 1)[edge]
+    along = along.astype(np.float32)
+    triangle, corner = edge // 3, edge % 3
+    weights = np.zeros((len(edge), 3), np.float32)
+    rows = np.arange(len(edge))
+    weights[rows, corner], weights[rows, (corner + 1) % 3] = 1 - along, along
+    place = np.einsum("nk,nkd->nd", weights, flat[triangle, :, :2])
+    column, row = np.clip(place.astype(np.int64), 0, resolution - 1).T
+    return row * resolution + column, triangle, weights
