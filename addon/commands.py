@@ -75,7 +75,11 @@ def _parser(opened: bool) -> argparse.ArgumentParser:
     bake.add_argument("--seed", type=_number(0, 2**31 - 1, int), metavar="N", help="seed of all random numbers (0)")
     again = command("relight", _relight, "Relight a baked scene by its lamps as they are; goes to FILE_relit.blend.")
     again.add_argument("--frame", type=_number(-1048574, 1048574, int), metavar="N", help="frame to relight for")
-    command("chart", _chart, "Chart error against time, beside Cycles and the paper's method.")
+    graph = command("chart", _chart, "Chart error against time, beside Cycles and the paper's method (some minutes).")
+    graph.add_argument(
+        "--resolution", type=_number(32, 1024, int), default=128, metavar="N", help="atlas size in pixels (128)"
+    )
+    graph.add_argument("--seed", type=_number(0, 2**31 - 1, int), default=0, metavar="N", help="seed of all (0)")
     command("info", _info, "Say what a file's bake is and whether it is still valid.")
     return parser
 
@@ -151,16 +155,28 @@ def _info(options) -> int:
 
 
 def _chart(options) -> int:
-    path = _open(options)
-    output = _folder(options, path)
-    try:
-        from . import chart
+    from . import chart
 
-        return chart.run(path, output)
+    path = _open(options)
+    target = _target(options, path, "_chart")
+    figures, picture = target.with_suffix(".json"), target.with_suffix(".png")
+    with Bar() as bar:
+        found = chart.measure(bpy.context, options.resolution, options.seed, bar)
+    report = {**context_of(path), **found}
+    _replacing(figures, lambda place: place.write_text(json.dumps(report, indent=2) + "\n", "utf-8"))
+    for sentence in found["notes"]:
+        _say(options, sentence)
+    try:
+        from . import plot
     except ModuleNotFoundError as error:
         if not (error.name or "").startswith("matplotlib"):
             raise
-        raise UserError("Charts need matplotlib: pip install matplotlib.") from error
+        _say(options, f"Wrote {figures}, and no picture: that needs matplotlib (pip install matplotlib).")
+    else:
+        _replacing(picture, lambda place: plot.draw(report, place))
+        _say(options, f"Wrote {picture} and {figures.name}")
+    _write_report(options, report)
+    return OK
 
 
 def _open(options) -> Path:

@@ -1,0 +1,305 @@
+"""Error against time: Cycles, the paper's way, and ours, at lamps that nothing was trained on.
+
+The scene's own lamps, sky and emissive materials are put out; test lamps shine one at a time, so that no steady
+light hides their error. The open file is changed and must not be saved.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import bpy
+import numpy as np
+
+from ..core import metrics
+from ..core.bake import Progress, Settings
+from ..core.panes.training import free_air, room_around
+from ..core.rays import Bvh, Tracer
+from ..core.scene import Scene, SceneError
+from ..core.surface import make_patches, make_texels
+from ..core.transfer import find_entries, make_gatherer
+from . import atlas, baking, lamps, methods, reference, relight, store
+from .extract import extract
+
+RESOLUTION = 128
+"""Texels a side: references at 256² take most of ten minutes on two cores."""
+
+CYCLES_SPP = (1, 4, 16, 64)
+REFERENCE_SPP = {"far": 256, "near": 768}
+"""Samples a texel of each half; a lamp close to a surface makes small bright spots, which paths find rarely."""
+
+LADDER = (
+    {"entries": 256, "entry_rays": 128, "exit_rays": 32, "regions": 16, "lamps": 200},
+    {"entries": 600, "entry_rays": 256, "exit_rays": 64, "regions": 32, "lamps": 400},
+    {"error_target": 0.2},
+    {"error_target": 0.1},
+    {"error_target": 0.05},
+    {"error_target": 0.025},
+)
+"""Settings of the gathering ways, small to large: two below what the planner gives, then the planner's own."""
+
+WALKS = (256, 512, 1024, 2048, 4096)
+"""Entries of the virtual lights."""
+
+PATIENCE = 40.0
+"""s that one bake may be expected to take; a way's larger budgets are left out, and the chart says so."""
+
+FAR, NEAR = 0.06, 0.025
+"""Distances of the test lamps from surfaces, in parts of the scene's extent: far at least, near about."""
+
+POWER = 100.0
+"""W of the test lamps."""
+
+
+@dataclass(frozen=True)
+class TestLamp:
+    """A point lamp. kind: "far" or "near". room: m to about the nearest surface."""
+
+    kind: str
+    place: tuple[float, float, float]
+    room: float
+
+
+def measure(
+    context: bpy.types.Context,
+    resolution: int = RESOLUTION,
+    seed: int = 0,
+    progress: Callable[[Progress], None] = lambda _: None,
+) -> dict:
+    """The chart's figures, JSON-able. Takes the scene's bake, lamps, sky and emission away: don't save it.
+
+    "lamps": kind, place and room of each. "methods": by name a list of points with "error" (mean over the lamps),
+    "errors", "bake_s", "relight_s", "entries", "rays", "bytes" (or "spp"). "notes": sentences on what was left out.
+    Raises SceneError for scenes that cannot be baked.
+    """
+    steps = Steps(progress)
+    steps.begin("Reading the scene", 2)
+    scene, extracting = _open(context, resolution)
+    tests = find_lamps(scene, resolution, seed)
+    notes: list[str] = []
+    with relight.paused():
+        lamp = _put_lamp(context)
+        truths, cycles = _cycles(context, lamp, tests, resolution, steps)
+        found = {"Cycles": cycles}
+        for name in methods.METHODS:
+            found[name] = list(
+                _ladder(name, context, scene, lamp, tests, truths, extracting, steps, resolution, seed, notes)
+            )
+    progress(Progress("Done", 1.0, 0))
+    return {
+        "scene": context.blend_data.filepath and bpy.path.display_name_from_filepath(context.blend_data.filepath),
+        "resolution": resolution,
+        "seed": seed,
+        "triangles": len(scene.triangles),
+        "error": "RMSE over RGB / mean, 4×4-texel blocks, reference noise subtracted, mean over the lamps",
+        "reference_spp": {kind: 2 * spp for kind, spp in REFERENCE_SPP.items()},
+        "reference_noise": [round(truth.noise, 5) for truth in truths],
+        "lamps": [{"kind": t.kind, "place": [round(x, 4) for x in t.place], "room_m": round(t.room, 4)} for t in tests],
+        "methods": found,
+        "notes": notes,
+    }
+
+
+class Steps:
+    """Progress over steps whose cost is known before, in units of about a second."""
+
+    TOTAL = 150
+
+    def __init__(self, progress):
+        self.progress = progress
+        self.done, self.cost, self.stage = 0.0, 0.0, ""
+
+    def begin(self, stage: str, cost: float) -> None:
+        """End the step before and begin one."""
+        self.done, self.cost, self.stage = self.done + self.cost, cost, stage
+        self.tick(0.0)
+
+    def tick(self, part: float) -> None:
+        """part: of the step, in [0, 1]."""
+        # tends to the end where more was to do than thought
+        spent = (self.done + self.cost * part) / self.TOTAL
+        self.progress(Progress(self.stage, spent if spent < 0.9 else 1 - 0.1 * np.exp(9 - 10 * spent), 0))
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A test lamp's reference and the noise of it, relative RMSE on blocks."""
+
+    reference: reference.Reference
+    noise: float
+
+    def compare(self, image: np.ndarray, valid: np.ndarray | None = None) -> metrics.Comparison:
+        mask = self.reference.mask if valid is None else self.reference.mask & valid
+        halves = tuple(self.reference.halves)
+        return metrics.compare(image, self.reference.image, mask, reference_halves=halves)
+
+
+def _open(context, resolution) -> tuple[Scene, float]:
+    """The scene without light, with an atlas; and the seconds that reading it took."""
+    scene = context.scene
+    baking.preflight(context)
+    baking.clear_scene(context)
+    _put_out(context)
+    with relight.paused():
+        objects = [item for item in scene.objects if item.type == "MESH" and store.TAG not in item]
+        atlas.make_atlas(context, objects, resolution)
+        started = time.perf_counter()
+        return extract(context, resolution=resolution), time.perf_counter() - started
+
+
+def _put_out(context) -> None:
+    """Switch off lamps, sky and emissive materials."""
+    for obj in context.scene.objects:
+        if obj.type == "LIGHT":
+            obj.hide_render = True
+    for light in bpy.data.lights:
+        # lamps of instanced collections
+        light.energy = 0.0
+    context.scene.world = None
+    trees = [m.node_tree for m in bpy.data.materials if m.node_tree] + [g for g in bpy.data.node_groups]
+    for tree in (t for t in trees if t.library is None):
+        for node in tree.nodes:
+            name = {"EMISSION": "Strength", "BSDF_PRINCIPLED": "Emission Strength"}.get(node.type)
+            if name is None or name not in node.inputs:
+                continue
+            for link in list(node.inputs[name].links):
+                tree.links.remove(link)
+            node.inputs[name].default_value = 0.0
+    context.view_layer.update()
+
+
+def find_lamps(scene: Scene, resolution: int, seed: int = 0) -> list[TestLamp]:
+    """Two places in the scene's air well apart and far from surfaces, and one near a surface.
+
+    Found as training lamps are, but by other random numbers. Raises SceneError where there is no room.
+    """
+    texels = make_texels(scene, resolution)
+    patches = make_patches(scene, 1000, seed)
+    bvh, tracer = Bvh(patches.corners), Tracer(scene)
+    entries, _ = find_entries(scene, patches, bvh, texels.samples, tracer.offset, seed)
+    gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset)
+    points = entries.points(scene, patches, 1, seed + 501)
+    extent = scene.extent
+    rng = np.random.default_rng(seed + 502)
+    share = entries.area / entries.area.sum()
+    least, most = scene.positions.min(axis=0), scene.positions.max(axis=0)
+    chosen = points.take(rng.choice(len(points), 400, p=share))
+
+    def air(near, low, high):
+        found = free_air(chosen, bvh, extent, seed + 503, near)
+        room = room_around(found, gatherer)
+        inside = ((found > least) & (found < most)).all(axis=1)
+        keep = inside & (room > low * extent) & (room < high * extent)
+        return found[keep], room[keep]
+
+    # narrow places have no far ones: take what there is
+    far, room = air(None, FAR, np.inf)
+    if len(far) < 2:
+        far, room = air(None, 1e-3, np.inf)
+    near, close = air((0.9 * NEAR * extent, 1.1 * NEAR * extent), 0.6 * NEAR, 1.2 * NEAR)
+    if len(far) < 2 or not len(near):
+        raise SceneError("There is no room in the scene for test lamps: nothing that its texels see is open air.")
+    second = int(np.linalg.norm(far - far[0], axis=1).argmax())
+    places = [("far", far[0], room[0]), ("far", far[second], room[second]), ("near", near[0], close[0])]
+    return [TestLamp(kind, tuple(map(float, place)), float(m)) for kind, place, m in places]
+
+
+def _put_lamp(context) -> bpy.types.Object:
+    data = bpy.data.lights.new("Lightpanes Chart", "POINT")
+    data.energy, data.shadow_soft_size = POWER, 0.0
+    lamp = bpy.data.objects.new("Lightpanes Chart", data)
+    context.scene.collection.objects.link(lamp)
+    return lamp
+
+
+def _move(context, lamp, test) -> tuple:
+    """Put the lamp at a test's place; what shines then, as a relighter wants it."""
+    lamp.location = test.place
+    context.view_layer.update()
+    shining = lamps.read_lights(context.evaluated_depsgraph_get(), [])
+    return tuple(light for light in shining if light.power.any())
+
+
+def _cycles(context, lamp, tests, resolution, steps) -> tuple[list[Truth], list[dict]]:
+    """The references, and Cycles' points: time of a bake for one lamp, mean over the lamps.
+
+    A half of the reference is itself a point: two independent estimates differ by their errors' root sum of squares.
+    """
+    rate = 16_384 / resolution**2 / 100
+    _move(context, lamp, tests[0])
+    # the first bake loads kernels
+    reference.cycles_bake(context, {"INDIRECT"}, resolution, 1)
+    truths, halves = [], []
+    for number, test in enumerate(tests, 1):
+        _move(context, lamp, test)
+        spp = REFERENCE_SPP[test.kind]
+        label = f"Cycles, reference {number} of {len(tests)}"
+        found = reference.indirect(
+            context, resolution, spp, 90 + number, progress=lambda s=spp, text=label: steps.begin(text, s * rate)
+        )
+        if not found.image[found.mask].any():
+            raise SceneError("The test lamps light nothing: every surface is black, or none scatters light.")
+        noise = metrics.compare(found.image, found.image, found.mask, reference_halves=tuple(found.halves)).noise
+        truths.append(Truth(found, noise))
+        halves.append({"spp": spp, "error": noise * np.sqrt(2), "seconds": found.seconds / 2})
+    points = []
+    for spp in CYCLES_SPP:
+        steps.begin(f"Cycles, {spp} samples", len(tests) * (0.2 + spp * rate))
+        errors, seconds = [], []
+        for number, (test, truth) in enumerate(zip(tests, truths, strict=True)):
+            _move(context, lamp, test)
+            image, _, spent = reference.cycles_bake(context, {"INDIRECT"}, resolution, spp, 10 + number)
+            errors.append(truth.compare(image).error)
+            seconds.append(spent)
+        points.append(_point(errors, np.mean(seconds), np.mean(seconds), spp=spp))
+    least = min(half["spp"] for half in halves)
+    errors = [half["error"] * np.sqrt(half["spp"] / least) for half in halves]
+    seconds = float(np.mean([half["seconds"] * least / half["spp"] for half in halves]))
+    points.append(_point(errors, seconds, seconds, spp=least))
+    return truths, points
+
+
+def _point(errors, bake, each, **budget) -> dict:
+    return {
+        "error": round(float(np.mean(errors)), 5),
+        "errors": [round(float(e), 5) for e in errors],
+        "bake_s": round(float(bake), 4),
+        "relight_s": round(float(each), 6),
+        **budget,
+    }
+
+
+def _ladder(name, context, scene, lamp, tests, truths, extracting, steps, resolution, seed, notes) -> Iterator[dict]:
+    """A method's points, from small budgets to large."""
+    base = Settings(resolution=resolution, seed=seed)
+    paper = methods.METHODS[name] is methods.virtual_lights
+    ladder = [{"entries": entries} for entries in WALKS] if paper else LADDER
+    before = None
+    for number, given in enumerate(ladder, 1):
+        settings = replace(base, **given)
+        size = given.get("entries", 1)
+        if before is not None and paper and before[1] * size / before[0] > PATIENCE:
+            notes.append(f"{name}: {size} entries and more left out, they would take over {PATIENCE:.0f} s.")
+            return
+        steps.begin(f"{name}, {number} of {len(ladder)}", size / 150 if paper else number)
+        made = methods.METHODS[name](scene, settings, steps.tick)
+        before = (size, made.seconds)
+        errors, seconds = [], []
+        # once before the clock counts
+        made.relight(_move(context, lamp, replace(tests[0], place=tuple(np.add(tests[0].place, 1e-3)))))
+        for test, truth in zip(tests, truths, strict=True):
+            lights = _move(context, lamp, test)
+            started = time.perf_counter()
+            image = made.relight(lights)
+            seconds.append(time.perf_counter() - started)
+            errors.append(truth.compare(image, made.valid).error)
+        yield _point(
+            errors,
+            extracting + made.seconds,
+            np.median(seconds),
+            entries=made.entries,
+            rays=made.rays,
+            bytes=made.bytes,
+        )

@@ -1,0 +1,210 @@
+"""The chart's picture. The only file that imports matplotlib."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
+
+STYLE = {
+    "Cycles": ("#57606a", "o", 1.6),
+    "virtual lights + clusters": ("#bc5b00", "s", 1.6),
+    "gather + clusters": ("#0b63b5", "D", 1.6),
+    "gather + eigenpanes": ("#00795a", "o", 2.8),
+}
+"""Colour, marker and width of each method's line."""
+
+INK, SOFT, GRID = "#1f2328", "#57606a", "#e4e7eb"
+TARGET = 0.05
+PERCENT = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
+SECONDS = {
+    1e-4: "0.1 ms", 1e-3: "1 ms", 1e-2: "10 ms", 0.1: "0.1 s", 1: "1 s", 10: "10 s", 60: "1 min", 600: "10 min", 3600: "1 h",
+}  # fmt: skip
+
+
+def draw(result: dict, path: Path) -> None:
+    """Write the PNG of what `chart.measure` found."""
+    figure = Figure(figsize=(12, 6), dpi=150, facecolor="white")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2, sharey=True)
+    figure.subplots_adjust(left=0.065, right=0.985, top=0.82, bottom=0.155, wspace=0.06)
+    _panel(left, result["methods"], "bake_s", "The first picture", "time of the whole bake")
+    _panel(
+        right, result["methods"], "relight_s", "Every other lamp position", "time of a relight (Cycles: another bake)"
+    )
+    left.set_ylabel("relative error of indirect light", color=INK, fontsize=11)
+    figure.canvas.draw()
+    for axes, key in ((left, "bake_s"), (right, "relight_s")):
+        _label(axes, result["methods"], key)
+    kinds = [lamp for lamp in result["lamps"] if lamp["kind"] == "near"]
+    near = f", one of them {_length(kinds[0]['room_m'])} from a surface" if kinds else ""
+    figure.text(0.065, 0.94, f"{result['scene']}: error against time", fontsize=18, fontweight="bold", color=INK)
+    spp = "–".join(f"{n:,}" for n in sorted(set(result["reference_spp"].values())))
+    figure.text(
+        0.065,
+        0.895,
+        f"Mean over {len(result['lamps'])} lamp positions that nothing was trained on{near}; thin lines: best to worst.",
+        fontsize=10.5,
+        color=SOFT,
+    )
+    figure.text(
+        0.065,
+        0.025,
+        f"{result['resolution']}² atlas, {result['triangles']:,} triangles. RMSE over mean on 4×4-texel blocks against "
+        f"Cycles at {spp} samples a texel, whose own noise is subtracted. Further left and further down is better.",
+        fontsize=8.5,
+        color=SOFT,
+    )
+    figure.savefig(path, format="png")
+
+
+def _panel(axes, found, key, title, below):
+    points = [p for line in found.values() for p in line]
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    times = [p[key] for p in points]
+    axes.set_xlim(min(times) / 1.9, max(times) * 1.9)
+    errors = [e for p in points for e in (p["error"], *p["errors"]) if e > 0]
+    axes.set_ylim(max(min(min(errors), TARGET) / 1.5, 5e-4), max(*errors, TARGET) * 1.3)
+    axes.set_axisbelow(True)
+    axes.grid(True, color=GRID, linewidth=0.9)
+    for side in axes.spines.values():
+        side.set_visible(False)
+    axes.tick_params(length=0, labelsize=10, colors=INK)
+    _ticks(axes)
+    axes.axhline(TARGET, color=INK, linewidth=1.1, linestyle=(0, (5, 3)), zorder=1.5)
+    axes.text(
+        0.995,
+        TARGET,
+        f"{100 * TARGET:g} % ",
+        transform=axes.get_yaxis_transform(),
+        ha="right",
+        va="bottom",
+        color=INK,
+        fontsize=10,
+    )
+    axes.set_title(title, loc="left", fontsize=13, color=INK, pad=8)
+    axes.set_xlabel(below, color=INK, fontsize=11)
+    for name, line in found.items():
+        colour, marker, width = STYLE.get(name, (INK, "o", 1.5))
+        x, y = [p[key] for p in line], [max(p["error"], 1e-6) for p in line]
+        for point in line:
+            low, high = max(min(point["errors"]), 1e-6), max(point["errors"])
+            axes.plot([point[key]] * 2, [low, high], color=colour, linewidth=1.1, alpha=0.35, solid_capstyle="round")
+        axes.plot(x, y, color=colour, linewidth=width, marker=marker, markersize=5 + width / 2, markeredgecolor="white",
+                  markeredgewidth=0.9, zorder=3)  # fmt: skip
+
+
+def _ticks(axes):
+    low, high = axes.get_ylim()
+    percent = [p for p in PERCENT if low <= p / 100 <= high]
+    axes.yaxis.set_major_locator(FixedLocator([p / 100 for p in percent]))
+    axes.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.3g} %")
+    low, high = axes.get_xlim()
+    axes.xaxis.set_major_locator(FixedLocator([s for s in SECONDS if low <= s <= high]))
+    axes.xaxis.set_major_formatter(
+        lambda value, _: min(SECONDS.items(), key=lambda item: abs(math.log(item[0] / value)))[1]
+    )
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_minor_locator(NullLocator())
+        axis.set_minor_formatter(NullFormatter())
+
+
+def _label(axes, found, key):
+    """Names beside the lines, then the ends' budgets, each where it covers least."""
+    shown = {
+        name: axes.transData.transform([(p[key], max(p["error"], 1e-6)) for p in line])
+        for name, line in found.items()
+        if line
+    }
+    spans = []
+    for name, line in found.items():
+        for point in line:
+            ends = axes.transData.transform(
+                [(point[key], max(e, 1e-6)) for e in (min(point["errors"]), max(point["errors"]))]
+            )
+            spans.append(np.linspace(*ends, 12))
+        spans += [np.linspace(a, b, 40) for a, b in pairwise(shown.get(name, ()))]
+    target = axes.transData.transform((axes.get_xlim()[0], TARGET))[1]
+    box = axes.get_window_extent()
+    spans.append(np.stack([np.linspace(box.x0, box.x1, 200), np.full(200, target)], 1))
+    taken = np.concatenate([*spans, *shown.values()])
+    boxes = []
+    texts = [(name, name, range(len(shown[name])), 11, "bold") for name in shown]
+    for name, line in found.items():
+        if line:
+            texts += [(_budget(line[k]), name, [k], 8, "normal") for k in (0, len(line) - 1)]
+    for text, name, rows, size, weight in texts:
+        best = _place(axes, text, shown[name][rows], size, weight, taken, boxes, box)
+        if best is None:
+            continue
+        corner, extent = best
+        boxes.append((*corner, *extent))
+        place = axes.transData.inverted().transform(corner)
+        axes.text(
+            *place,
+            text,
+            fontsize=size,
+            fontweight=weight,
+            color=STYLE.get(name, (INK,))[0],
+            va="bottom",
+            ha="left",
+            zorder=5,
+        )
+
+
+def _place(axes, text, points, size, weight, taken, boxes, box):
+    """Lower left corner and size, px, of a text beside one of the points, where it hides least; None if it must hide
+    something and is not a name."""
+    renderer = axes.figure.canvas.get_renderer()
+    sample = axes.text(0, 0, text, fontsize=size, fontweight=weight)
+    extent = sample.get_window_extent(renderer)
+    sample.remove()
+    width, height = extent.width, extent.height
+    best, least = None, np.inf
+    for x, y in points:
+        for gap in (9, 16, 26):
+            for dx, dy, dislike in (
+                (gap, -height / 2, 0), (gap, gap, 1), (gap, -height - gap, 1), (-width / 2, gap, 1), (-width / 2, -height - gap, 1),
+                (-width - gap, -height / 2, 0), (-width - gap, gap, 1), (-width - gap, -height - gap, 1),
+            ):  # fmt: skip
+                left, low = x + dx, y + dy
+                inside = (
+                    box.x0 + 4 <= left
+                    and left + width <= box.x1 - 4
+                    and box.y0 + 4 <= low
+                    and low + height <= box.y1 - 4
+                )
+                if not inside:
+                    continue
+                margin = 4
+                covered = (
+                    (taken[:, 0] > left - margin)
+                    & (taken[:, 0] < left + width + margin)
+                    & (taken[:, 1] > low - margin)
+                    & (taken[:, 1] < low + height + margin)
+                ).sum()
+                crowded = sum(
+                    left < bx + bw + 6 and bx < left + width + 6 and low < by + bh + 4 and by < low + height + 4
+                    for bx, by, bw, bh in boxes
+                )
+                cost = 10 * covered + 1000 * crowded + dislike + gap / 9
+                if cost < least:
+                    best, least = ((left, low), (width, height)), cost
+    return best if weight == "bold" or least < 10 else None
+
+
+def _budget(point):
+    return f"{point['spp']:,} spp" if "spp" in point else f"{point['entries']:,} entries"
+
+
+def _length(metres):
+    for unit, size in (("m", 1.0), ("cm", 0.01), ("mm", 0.001)):
+        if metres >= size:
+            return f"{metres / size:.3g} {unit}" if metres / size < 10 else f"{metres / size:.0f} {unit}"
+    return f"{metres:.2g} m"
