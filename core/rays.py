@@ -6,6 +6,7 @@ of results, and with it every bake, does not depend on how many there are.
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -144,6 +145,12 @@ class Tracer:
         # float32 steps grow with the distance from the origin, lifts must exceed them
         reach = float(np.abs(scene.positions).max(initial=0.0))
         self.offset = max(2e-5 * scene.extent, 4e-7 * reach)
+
+    def alone(self) -> Tracer:
+        """The same rays on the calling thread only, for callers that spend threads themselves."""
+        single = copy.copy(self)
+        single.threads = 1
+        return single
 
     def visibility(self, origins: np.ndarray, vectors: np.ndarray) -> np.ndarray:
         """Part of the light that passes along open segments origins + t · vectors, 0 < t < 1.

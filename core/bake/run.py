@@ -9,7 +9,7 @@ import numpy as np
 
 from ..panes import Panes
 from ..panes.entry_light import EntrySurface
-from ..panes.exits import gather_panes
+from ..panes.exits import gather_panes, smooth_panes
 from ..planner import Settings, limit_rays
 from ..scene import Scene
 from .check import compression_error, gather_noise
@@ -37,6 +37,7 @@ def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Pro
 
     clock.start("Exits", len(exits) * budget.exit_rays)
     found = gather_panes(made.gatherer, exits.samples, starts, tables, budget.exit_rays, seed + 41, clock.tick)
+    found = smooth_panes(found, exits, starts)
     k = made.modes.panes
     fill = exits.fill()
     steady, first_hit = np.zeros((len(exits), 3), np.float32), None

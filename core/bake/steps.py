@@ -93,7 +93,7 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
     places = entries.points(scene, patches, PLACES, seed + 5)
     lamps = training_lamps(scene, places, gatherer, budget.lamps, seed + 6)
     clock.start("Lamps", len(lamps))
-    direct = illuminate(lamps, places, PLACES, tracer, seed, lambda: clock.tick(1, len(entries)))
+    direct = illuminate(lamps, places, PLACES, tracer, seed, lambda done: clock.tick(done, done * len(entries)))
     test = training_lamps(scene, places, gatherer, TEST_LAMPS, seed + 1006)
     test_direct = illuminate(test, places, PLACES, tracer, seed + 1000)
 

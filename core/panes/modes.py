@@ -23,6 +23,8 @@ class Modes:
 
     region: (n,) int32 of each entry. panes: k, modes a region. regions: their number.
     basis: (n, k) float32, each entry's row of its own region's orthonormal modes, √area-weighted.
+    dual: (n, k) float32, like basis: what a field is multiplied with to get its weights. They are its orthogonal
+    projection, corrected so that each region reflects the right flux: bounces would multiply an error of it.
     makers: (n, regions × k) float32, the radiosities Φ whose gathered field is the mode.
     """
 
@@ -30,24 +32,33 @@ class Modes:
     panes: int
     regions: int
     basis: np.ndarray
+    dual: np.ndarray
     makers: np.ndarray
 
 
 def training_fields(
-    entries: Entries, transport: Transport, direct: np.ndarray, bounces: int = 2
+    entries: Entries, transport: Transport, direct: np.ndarray, mixtures: int = 96, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Radiosities X (n, s) under each lamp and the indirect fields Y = F X (n, s), scaled to mean 1.
+    """Radiosities X (n, s) that lamps cause and the indirect fields Y = F X (n, s) that they make, of mean 1.
 
-    direct: (n, s) irradiance. Lamps take turns with red, green and blue albedo, since panes are shared by
-    all three. The series stops after `bounces`: the modes only need the fields' span.
+    direct: (n, l) irradiance. Lamps take turns with red, green and blue albedo, since panes are shared by all
+    three. Later bounces are smooth: random mixtures of lamps, `mixtures` a bounce for two bounces, are enough.
     """
     albedo = entries.albedo[:, np.arange(direct.shape[1]) % 3]
-    source = albedo * direct
-    radiosity = source
-    for _ in range(bounces - 1):
-        radiosity = source + albedo * (transport.between @ radiosity)
-    field = transport.between @ radiosity
+    radiosity = [albedo * direct]
+    field = [transport.between @ radiosity[0]]
     area = (entries.area / entries.area.sum()).astype(np.float32)
+    mean = area @ field[0]
+    lit = mean > 1e-6 * mean.max(initial=0)
+    mix = np.random.default_rng(seed).random((int(lit.sum()), mixtures), np.float32)
+    # few lamps a mixture, or all mixtures would be the same grey
+    mix *= mix > 1 - 8 / max(len(mix), 9)
+    later = field[0][:, lit] @ (mix / np.maximum(mean[lit, None], 1e-30))
+    for _ in range(2):
+        radiosity.append(entries.albedo[:, np.arange(mixtures) % 3] * later)
+        later = transport.between @ radiosity[-1]
+        field.append(later)
+    radiosity, field = np.concatenate(radiosity, 1), np.concatenate(field, 1)
     mean = area @ field
     lit = mean > 1e-6 * mean.max(initial=0)
     scale = np.float32(1) / mean[lit]
@@ -59,6 +70,8 @@ def learn_modes(entries: Entries, region: np.ndarray, radiosity: np.ndarray, fie
     regions = int(region.max()) + 1
     root = np.sqrt(entries.area / entries.area.mean()).astype(np.float32)[:, None]
     basis = np.zeros((len(region), panes), np.float32)
+    dual = np.zeros_like(basis)
+    flux = root[:, 0] * entries.albedo.mean(axis=1)
     mixes = np.zeros((field.shape[1], regions * panes), np.float32)
     order = np.argsort(region, kind="stable")
     ends = np.cumsum(np.bincount(region, minlength=regions))
@@ -73,5 +86,17 @@ def learn_modes(entries: Entries, region: np.ndarray, radiosity: np.ndarray, fie
         good = values > FLOOR**2 * values[0]
         values, vectors = values[good], vectors[:, good].astype(np.float32)
         basis[rows[:, None], np.arange(len(values))] = vectors
+        dual[rows[:, None], np.arange(len(values))] = _keep_flux(vectors, flux[rows])
         mixes[:, r * panes : r * panes + len(values)] = block.T @ (vectors / values.astype(np.float32))
-    return Modes(region, panes, regions, basis, radiosity @ mixes)
+    return Modes(region, panes, regions, basis, dual, radiosity @ mixes)
+
+
+def _keep_flux(vectors: np.ndarray, flux: np.ndarray) -> np.ndarray:
+    """(m, k): orthonormal `vectors` (m, k) as a projection whose remainder r has no flux: flux · r = 0."""
+    share = flux @ vectors
+    total = float(share @ share)
+    # black regions reflect nothing, whatever their weights
+    if total <= 1e-12 * max(float(flux @ flux), 1e-30):
+        return vectors
+    missed = flux - vectors @ share
+    return vectors + np.outer(missed, share / total)

@@ -111,7 +111,7 @@ def illuminate(
     each: int,
     tracer: Tracer,
     seed: int,
-    tick: Callable[[], None] | None = None,
+    tick: Callable[[int], None] | None = None,
 ) -> np.ndarray:
     """(n, lamps) float32 direct irradiance of unit lamps at n entries, each seen at `each` of its places.
 
@@ -119,14 +119,40 @@ def illuminate(
     """
     count = len(points) // each
     result = np.empty((count, len(lamps)), np.float32)
+    lone = tracer.alone()
+    position = points.position + points.flat * np.float32(tracer.offset)
+    sharp = np.array([light.kind == "POINT" and light.radius == 0 for light in lamps], bool)
+    lamp_place = np.array([light.position for light in lamps], np.float32).reshape(-1, 3)
 
     def one(k):
-        rows = np.arange(count) * each + k % each
-        position = points.position[rows] + points.flat[rows] * np.float32(tracer.offset)
-        found = irradiance(lamps[k], position, points.normal[rows], tracer.visibility, 1, seed + k)
-        result[:, k] = found if found.ndim == 1 else found.mean(axis=1)
+        rows = np.arange(count) * each + k
+        mine = np.arange(k, len(lamps), each)
+        points_of = [mine[sharp[mine]][i : i + 32] for i in range(0, int(sharp[mine].sum()), 32)]
+        for columns in points_of:
+            result[:, columns] = _point_lamps(position[rows], points.normal[rows], lamp_place[columns], lone.visibility)
+        for column in mine[~sharp[mine]]:
+            found = irradiance(
+                lamps[column], position[rows], points.normal[rows], lone.visibility, 1, seed + int(column)
+            )
+            result[:, column] = found if found.ndim == 1 else found.mean(axis=1)
         if tick is not None:
-            tick()
+            tick(len(mine))
 
-    in_threads(one, range(len(lamps)))
+    in_threads(one, range(each))
+    return result
+
+
+def _point_lamps(position, normal, places, visibility):
+    """(n, l) float32 irradiance of points under unit point lamps at (l, 3) places, all at once."""
+    # float32 products of coordinates cancel far from the origin
+    middle = position.mean(axis=0)
+    local, own = places - middle, position - middle
+    facing = normal @ local.T - np.einsum("nd,nd->n", normal, own)[:, None]
+    i, j = np.nonzero(facing > 0)
+    vectors = places[j] - position[i]
+    distance2 = np.maximum(np.einsum("nd,nd->n", vectors, vectors), 1e-12)
+    seen = visibility(position[i], vectors)
+    seen = seen if seen.ndim == 1 else seen.mean(axis=1)
+    result = np.zeros(facing.shape, np.float32)
+    result[i, j] = facing[i, j] / (np.float32(4 * np.pi) * distance2 * np.sqrt(distance2)) * seen
     return result

@@ -1,7 +1,7 @@
 """From the entries' direct irradiance to the panes' weights: Galerkin in mode space.
 
 The indirect field at the entries is y = F x with x = ρ (b + y). In the modes U (orthonormal under √area)
-y = U w, so w = A (ρ b) + C w with A = Uᵀ F and C = Uᵀ F ρ U. A is shared by red, green and blue. The
+y = U w, so w = A (ρ b) + C w with A = U⁺ F and C = U⁺ F ρ U (U⁺: the modes' dual). A is shared by red, green and blue. The
 bounces after the first, (1 − C)⁻¹ C, make smooth fields of low rank: they are kept as Q G.
 """
 
@@ -47,21 +47,32 @@ def make_weights(entries: Entries, transport: Transport, modes: Modes, reflected
     first = np.empty((size, count), np.float32)
     for r in range(regions):
         rows = order[ends[r] : ends[r + 1]]
-        first[r * k : r * k + k] = (modes.basis[rows] * root[rows, None]).T @ transport.between[rows]
-    operators = []
+        first[r * k : r * k + k] = (modes.dual[rows] * root[rows, None]).T @ transport.between[rows]
+
+    def again(values, c):
+        """C @ values for modes' weights `values` (m, s): F ρ U in mode space, never formed."""
+        field = np.empty((count, values.shape[1]), np.float32)
+        for r in range(regions):
+            rows = order[ends[r] : ends[r + 1]]
+            field[rows] = (modes.basis[rows] / root[rows, None]) @ values[r * k : r * k + k]
+        return first @ (entries.albedo[:, c : c + 1] * field)
+
+    once = first @ reflected
+    # the second bounce's fields span, all but exactly, those of the bounces that follow it
+    spread = _leading(np.concatenate([again(once, c) for c in range(3)], 1), RANK)
+    later = np.empty((3, spread.shape[1], size), np.float32)
+    seen = spread.T @ first
     for c in range(3):
-        again = np.empty((size, size), np.float32)
+        # Galerkin once more, in the span: q = Qᵀ C w₁ + Qᵀ C Q q
+        operator = np.empty((spread.shape[1], size), np.float32)
         for r in range(regions):
             rows = order[ends[r] : ends[r + 1]]
             back = modes.basis[rows] * (entries.albedo[rows, c] / root[rows])[:, None]
-            again[:, r * k : r * k + k] = first[:, rows] @ back
-        operators.append(again)
-    # the second bounce's fields span, all but exactly, those of the bounces that follow it
-    fields = np.concatenate([again @ (first @ reflected) for again in operators], 1)
-    spread = _leading(fields, min(RANK, *fields.shape))
-    eye = np.eye(size, dtype=np.float32)
-    later = np.stack([np.linalg.solve((eye - again).T, spread).T @ again for again in operators])
-    return PaneWeights(first, spread, np.ascontiguousarray(later, np.float32))
+            operator[:, r * k : r * k + k] = seen[:, rows] @ back
+        # float64: near albedo 1 the system is close to singular
+        system = np.eye(len(operator)) - (operator @ spread).astype(np.float64)
+        later[c] = np.linalg.solve(system, operator)
+    return PaneWeights(first, spread, later)
 
 
 def _leading(fields: np.ndarray, rank: int, seed: int = 0) -> np.ndarray:
@@ -70,6 +81,7 @@ def _leading(fields: np.ndarray, rank: int, seed: int = 0) -> np.ndarray:
     Randomised range finder (Halko et al. 2011): exact enough, and far cheaper than an eigenproblem.
     """
     fields = fields / np.maximum(np.linalg.norm(fields, axis=0), 1e-30)
+    rank = min(rank, *fields.shape)
     mix = np.random.default_rng(seed).standard_normal((fields.shape[1], rank)).astype(np.float32)
     basis = np.linalg.qr(fields @ mix)[0]
     return np.linalg.qr(fields @ (fields.T @ basis))[0]

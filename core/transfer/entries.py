@@ -16,7 +16,7 @@ from ..surface import Patches, SurfaceSamples
 from .gather import Gatherer
 from .reach import flood
 
-PILOT_RAYS = 32
+PILOT_RAYS = 16
 SIGNIFICANT = 0.02
 """A back side gets an entry when its share of the rays exceeds this part of the average side's."""
 
@@ -98,7 +98,7 @@ def find_entries(
         sides = np.flatnonzero(fresh)
         if not len(sides):
             break
-        chosen = np.tile(sides, max(1, 20_000 // len(sides)))
+        chosen = np.tile(sides, max(1, 12_000 // len(sides)))
         samples = patches.sample(scene, (chosen // 2).astype(np.int32), seed + 11 + step)
         upside = np.einsum("nd,nd->n", scene.triangle_cross()[samples.triangle], samples.flat) < 0
         total = total + pilot(samples.flipped((chosen % 2 == 1) ^ upside), 200 + step)[0]

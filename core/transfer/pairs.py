@@ -20,11 +20,14 @@ ROWS = 64
 FAR = 3.0
 """Pairs farther apart than this many times their mean size are sampled as pairs."""
 
+VERY_FAR = 8.0
+"""Beyond this many times, one sample says enough."""
 
-def far_pairs(position: np.ndarray, size: np.ndarray, rows: slice) -> np.ndarray:
-    """(m, n) bool: whether entries `rows` and each of the n are far apart for their size."""
-    reach = np.float32(0.5 * FAR) * (size[rows, None] + size)
-    return _distance2(position[rows], position) > reach * reach
+
+def far_pairs(position: np.ndarray, size: np.ndarray, rows: slice, cols: slice, times: float = FAR) -> np.ndarray:
+    """(m, n) bool: which of entries `rows` × `cols` are farther apart than `times` their mean size."""
+    reach = np.float32(0.5 * times) * (size[rows, None] + size[cols])
+    return _distance2(position[rows], position[cols]) > reach * reach
 
 
 def sample_pairs(
@@ -36,36 +39,53 @@ def sample_pairs(
 ) -> np.ndarray:
     """(n, n) float32 symmetric: the mean geometric term with visibility, V cos cos / π r², 1/m², of all pairs.
 
-    samples: one place on each entry, an independent set for each sample of a pair. visible(origins, vectors):
-    float32 in [0, 1] over open segments. Near pairs hold no useful value.
+    samples: one place on each entry, an independent set for each sample; pairs that are VERY_FAR take the first
+    only. visible(origins, vectors): float32 in [0, 1] over open segments. Near pairs hold no useful value.
     """
     count = len(area)
     result = np.zeros((count, count), np.float32)
+    size = np.sqrt(area).astype(np.float32)
+    # float32 products of coordinates cancel far from the origin
     middle = samples[0].position.mean(axis=0)
+    sets = []
     for places in samples:
-        # float32 products of coordinates cancel far from the origin
         position = places.position - middle
-        lifted = places.position + places.flat * np.float32(offset)
         own = np.einsum("nd,nd->n", position, places.normal)
+        sets.append((position, places.normal, own, places.position + places.flat * np.float32(offset)))
 
-        def block(start, position=position, lifted=lifted, own=own, places=places):
-            rows = slice(start, min(start + ROWS, count))
+    def block(start):
+        rows, cols = slice(start, min(start + ROWS, count)), slice(start, count)
+        middling = None
+        for number, (position, normal, own, lifted) in enumerate(sets):
             # each pair once: columns from the block's own on
-            leaves = places.normal[rows] @ position[start:].T - own[rows, None]
-            arrives = position[rows] @ places.normal[start:].T - own[start:]
+            leaves = normal[rows] @ position[cols].T - own[rows, None]
+            arrives = position[rows] @ normal[cols].T - own[cols]
             np.maximum(leaves, 0, out=leaves)
             np.maximum(arrives, 0, out=arrives)
-            distance2 = np.maximum(_distance2(position[rows], position[start:]), 1e-12)
-            term = leaves * arrives / (np.float32(np.pi) * distance2 * distance2)
-            i, j = np.nonzero(term)
-            seen = visible(lifted[start + i], lifted[start + j] - lifted[start + i])
-            term[i, j] *= seen if seen.ndim == 1 else seen.mean(axis=1)
-            result[rows, start:] += term
+            leaves *= arrives
+            if number == 1:
+                middling = ~far_pairs(sets[0][0], size, rows, cols, VERY_FAR)
+                middling &= far_pairs(sets[0][0], size, rows, cols)
+            if middling is not None:
+                leaves *= middling
+            pairs = np.flatnonzero(leaves)
+            i, j = np.divmod(pairs.astype(np.int32), np.int32(count - start))
+            i, j = i + start, j + start
+            vectors = lifted[j] - lifted[i]
+            apart = position[j] - position[i]
+            distance2 = np.maximum(np.einsum("nd,nd->n", apart, apart), 1e-12)
+            term = leaves.reshape(-1)[pairs] / (np.float32(np.pi) * distance2 * distance2)
+            term *= visible(lifted[i], vectors)
+            if number == 0:
+                result[i, j] = term
+            else:
+                result[i, j] += term
             if tick is not None:
                 tick(len(i))
+        if middling is not None:
+            result[rows, cols] *= np.where(middling, np.float32(1 / len(sets)), 1)
 
-        in_threads(block, range(0, count, ROWS))
-    result *= np.float32(1 / len(samples))
+    in_threads(block, range(0, count, ROWS))
     for start in range(0, count, 512):
         rows = slice(start, min(start + 512, count))
         for left in range(start, count, 512):

@@ -82,10 +82,7 @@ def gather_virtual_lights(
     ends = np.searchsorted(group[lights.entry][order], np.arange(groups + 1))
     lift = np.float32(tracer.offset)
     places = exits.position + exits.flat * lift
-    lone = Tracer.__new__(Tracer)
-    lone.__dict__.update(tracer.__dict__)
-    # threads are spent on groups here, not inside each query
-    lone.threads = 1
+    lone = tracer.alone()
 
     def one(g):
         for k in order[ends[g] : ends[g + 1]]:
