@@ -19,18 +19,14 @@ def compression_error(
 ) -> float:
     """Relative RMSE at the entries of the panes against the full solve, mean over lamps not trained on.
 
-    direct: (n, s) irradiance of the lamps at the entries; red, green and blue take turns.
+    direct: (n, 3 s) irradiance of lamps at the entries; three lamps at a time take red, green and blue.
     """
     area = (entries.area / entries.area.sum()).astype(np.float32)
     root = np.sqrt(entries.area / entries.area.mean()).astype(np.float32)[:, None]
-    channel = np.arange(direct.shape[1]) % 3
-    albedo = entries.albedo[:, channel]
+    albedo = entries.albedo[:, np.arange(direct.shape[1]) % 3]
     truth = transport.between @ transport.solve(albedo, albedo * direct)
-    once = weights.first @ (albedo * direct)
-    for c in range(3):
-        mine = channel == c
-        once[:, mine] += weights.spread @ (weights.later[c] @ once[:, mine])
-    value = once.reshape(modes.regions, modes.panes, -1)[modes.region]
+    values = [weights.of(direct[:, s : s + 3]) for s in range(0, direct.shape[1], 3)]
+    value = np.concatenate(values, 1).reshape(modes.regions, modes.panes, -1)[modes.region]
     found = np.einsum("nk,nks->ns", modes.basis, value) / root
     mean = area @ truth
     lit = mean > 1e-6 * mean.max(initial=0)
@@ -47,7 +43,6 @@ def gather_noise(
     rays: int,
     seed: int,
     weights: PaneWeights,
-    entries: Entries,
     direct: np.ndarray,
 ) -> float:
     """Relative RMSE on 4×4-texel blocks that the gather's noise leaves, from exits gathered twice.
@@ -66,8 +61,7 @@ def gather_noise(
     k = weights.first.shape[0] // (len(starts) - 1)
     twice = [gather_panes(gatherer, some, ends, tables, rays, seed + salt)[:, :k] for salt in (71, 72)]
     region = np.repeat(np.arange(len(lengths)), lengths)
-    reflected = entries.albedo * direct.mean(axis=1, keepdims=True)
-    value = weights.of(reflected).reshape(-1, k, 3)[region]
+    value = weights.of(np.repeat(direct.mean(axis=1, keepdims=True), 3, axis=1)).reshape(-1, k, 3)[region]
     first, second = (np.einsum("nk,nkc->nc", t, value) for t in twice)
     mean = 0.5 * float((first + second).mean())
     if mean <= 0:

@@ -29,8 +29,8 @@ class Bake:
     and the region of each exit plus one, 0 for none; "Lightpanes Weights" (flat), the operators of
     PaneWeights one after another; "Lightpanes Static" (H, W, 3), irradiance that no lamp changes; "Lightpanes Pieces"
     (p, 3, 3), the triangles that make the entries.
-    entries: arrays over n × each places on the entries: position, normal, albedo (3 float32), size (float32, m)
-    and pieces (int32), the entry's number of triangles.
+    entries: arrays over n × each places on the entries: position, normal, albedo (3 float32), size (float32, m),
+    pieces (int32), the entry's number of triangles, and region (int32).
     direct: (H, W, 3) float32 irradiance of the sky's and emissive faces' first hit, or None.
     meta: JSON-able; "report" is for the user.
     """
@@ -60,7 +60,7 @@ class Bake:
         steady = np.zeros((size * size, 3), np.float32)
         steady[texel] = panes.steady
         weights = panes.weights
-        parts = (weights.first, weights.spread, weights.later)
+        parts = (weights.first, weights.spread, weights.later, weights.field)
         surface = panes.surface
         each = len(surface.position) // max(len(surface), 1)
         entries = {
@@ -69,6 +69,7 @@ class Bake:
             "albedo": np.repeat(surface.albedo, each, axis=0),
             "size": np.repeat(surface.size, each),
             "pieces": np.repeat(surface.counts, each),
+            "region": np.repeat(weights.region, each),
         }
         images = {
             "Lightpanes Panes": atlas.reshape(k, size, size),
@@ -106,6 +107,7 @@ class Bake:
             parts.append(flat[at : at + length].reshape(shape))
             at += length
         each = int(meta["each"])
+        once = {name: np.ascontiguousarray(values[::each]) for name, values in self.entries.items()}
         return Panes(
             rows=np.ascontiguousarray(atlas[:, texel].T),
             starts=starts,
@@ -115,12 +117,12 @@ class Bake:
             surface=EntrySurface(
                 position=self.entries["position"],
                 normal=self.entries["normal"],
-                albedo=np.ascontiguousarray(self.entries["albedo"][::each]),
-                size=np.ascontiguousarray(self.entries["size"][::each]),
+                albedo=once["albedo"],
+                size=once["size"],
                 pieces=self.images["Lightpanes Pieces"].reshape(-1, 3, 3),
-                counts=np.ascontiguousarray(self.entries["pieces"][::each]).astype(np.int32),
+                counts=once["pieces"].astype(np.int32),
             ),
-            weights=PaneWeights(*parts),
+            weights=PaneWeights(*parts[:3], once["region"].astype(np.int32), parts[3], once["albedo"]),
         )
 
     @property

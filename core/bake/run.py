@@ -65,7 +65,6 @@ def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Pro
         budget.exit_rays,
         seed,
         made.weights,
-        made.entries,
         made.test_direct,
     )
     clock.stop()

@@ -105,7 +105,7 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
     region = split_regions(region, points, entries.area, field[:, ::2], budget.regions, budget.panes)
     modes = learn_modes(entries, region, radiosity, field, budget.panes)
     clock.tick(1, 0)
-    weights = make_weights(entries, transport, modes, entries.albedo.mean(axis=1, keepdims=True) * direct[:, ::8])
+    weights = make_weights(entries, transport, modes, direct[:, ::8])
     clock.tick(1, 0)
     steady, shine = _steady_light(sky, bins, entries, transport)
     own = _own_region(texels.samples, bvh, entries, patches, region, points, scene.extent, tracer.offset)

@@ -72,8 +72,7 @@ class Relighter:
                 if unit[place] is None:
                     unit[place] = self.entry_light.unit(light)
             direct = unit[place] if unit[place].ndim == 2 else unit[place][:, None]
-            reflected = self.panes.surface.albedo * (direct * light.power.astype(np.float32))
-            weights[key] = (self.panes.weights.of(reflected), 1)
+            weights[key] = (self.panes.weights.of(direct * light.power.astype(np.float32)), 1)
         self._unit, self._weights = unit, {key: value for key, (value, _) in weights.items()}
         total = np.zeros((len(self.panes.weights.first), 3), np.float32)
         for value, times in weights.values():

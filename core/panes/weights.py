@@ -2,7 +2,8 @@
 
 The indirect field at the entries is y = F x with x = ρ (b + y). In the modes U (orthonormal under √area)
 y = U w, so w = A (ρ b) + C w with A = U⁺ F and C = U⁺ F ρ U (U⁺: the modes' dual). A is shared by red, green and blue. The
-bounces after the first, (1 − C)⁻¹ C, make smooth fields of low rank: they are kept as Q G.
+bounces after the first, (1 − C)⁻¹ C, make smooth fields of low rank: they are kept as Q G. What little the low
+rank loses is made good by gathering the field once more with A (final gathering).
 """
 
 from __future__ import annotations
@@ -14,30 +15,54 @@ import numpy as np
 from ..transfer import Entries, Transport
 from .modes import Modes
 
-RANK = 256
+RANK = 192
 """Leading fields kept of all bounces after the first."""
+
+STRIPE = 192
+"""Rows of a large matrix that are multiplied together."""
 
 
 @dataclass(frozen=True)
 class PaneWeights:
-    """first: (m, n) float32, A. spread: (m, r) float32, Q. later: (3, r, m) float32, G. m = regions × panes."""
+    """first: (m, n) float32, A; m = regions × panes. spread: (m, r) float32, Q. later: (3, r, m) float32, G.
+    region: (n,) int32 of each entry. field: (n, panes) float32, the entry's irradiance by its region's modes.
+    albedo: (n, 3) float32.
+    """
 
     first: np.ndarray
     spread: np.ndarray
     later: np.ndarray
+    region: np.ndarray
+    field: np.ndarray
+    albedo: np.ndarray
 
-    def of(self, reflected: np.ndarray) -> np.ndarray:
-        """(m, 3) float32 weights for `reflected` (n, 3) float32: albedo × direct irradiance, W/m²."""
-        once = self.first @ reflected
-        again = np.stack([self.later[c] @ once[:, c] for c in range(3)], 1)
-        return once + self.spread @ again
+    def of(self, direct: np.ndarray) -> np.ndarray:
+        """(m, 3) float32 weights for the entries' direct irradiance (n, 3) float32, W/m²."""
+        once = _product(self.first, self.albedo * direct)
+        again = np.stack([self.later[c] @ np.ascontiguousarray(once[:, c]) for c in range(3)], 1)
+        guess = (once + self.spread @ again).reshape(-1, self.field.shape[1], 3)
+        indirect = np.einsum("nk,nkc->nc", self.field, guess.take(self.region, axis=0))
+        return _product(self.first, self.albedo * (direct + indirect))
 
 
-def make_weights(entries: Entries, transport: Transport, modes: Modes, reflected: np.ndarray) -> PaneWeights:
+def _product(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """matrix (m, n) @ columns (n, 3), float32, in blocks that stay in the cache for all three columns.
+
+    A product with so few columns is bound by memory, and BLAS would spend more time on repacking the matrix.
+    """
+    result = np.empty((columns.shape[1], len(matrix)), np.float32)
+    vectors = np.ascontiguousarray(columns.T)
+    for start in range(0, len(matrix), STRIPE):
+        stripe = slice(start, min(start + STRIPE, len(matrix)))
+        for c, vector in enumerate(vectors):
+            np.dot(matrix[stripe], vector, out=result[c, stripe])
+    return np.ascontiguousarray(result.T)
+
+
+def make_weights(entries: Entries, transport: Transport, modes: Modes, direct: np.ndarray) -> PaneWeights:
     """Weights operator for `modes`.
 
-    reflected: (n, s) float32 albedo × direct irradiance of some training lamps, from which the later
-    bounces' leading fields are learnt.
+    direct: (n, s) float32 irradiance by some training lamps, from which the later bounces' leading fields are learnt.
     """
     count, k, regions = len(entries), modes.panes, modes.regions
     size = regions * k
@@ -57,7 +82,7 @@ def make_weights(entries: Entries, transport: Transport, modes: Modes, reflected
             field[rows] = (modes.basis[rows] / root[rows, None]) @ values[r * k : r * k + k]
         return first @ (entries.albedo[:, c : c + 1] * field)
 
-    once = first @ reflected
+    once = first @ (entries.albedo.mean(axis=1, keepdims=True) * direct)
     # the second bounce's fields span, all but exactly, those of the bounces that follow it
     spread = _leading(np.concatenate([again(once, c) for c in range(3)], 1), RANK)
     later = np.empty((3, spread.shape[1], size), np.float32)
@@ -72,7 +97,7 @@ def make_weights(entries: Entries, transport: Transport, modes: Modes, reflected
         # float64: near albedo 1 the system is close to singular
         system = np.eye(len(operator)) - (operator @ spread).astype(np.float64)
         later[c] = np.linalg.solve(system, operator)
-    return PaneWeights(first, spread, later)
+    return PaneWeights(first, spread, later, modes.region, modes.basis / root[:, None], entries.albedo)
 
 
 def _leading(fields: np.ndarray, rank: int, seed: int = 0) -> np.ndarray:

@@ -63,7 +63,7 @@ def sample_rows(name: str) -> list[dict]:
     def through_panes(direct):
         found = np.empty((*direct.shape, 3), np.float32)
         for s in range(direct.shape[1]):
-            value = weights.of(entries.albedo * direct[:, s : s + 1]).reshape(modes.regions, modes.panes, 3)
+            value = weights.of(np.repeat(direct[:, s : s + 1], 3, axis=1)).reshape(modes.regions, modes.panes, 3)
             found[:, s] = np.einsum("nk,nkc->nc", modes.basis, value[modes.region]) / root
         return found
 
