@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -153,18 +152,21 @@ class Bake:
         try:
             with np.load(path, allow_pickle=False) as data:
                 arrays = {name: data[name] for name in data.files}
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
+        # a damaged archive makes the readers of zip, of numpy's headers and of Python literals raise nearly anything
+        except Exception as error:
             if isinstance(error, OSError) and not Path(path).exists():
                 raise BakeError(f"There is no bake file {path}.") from error
             raise BakeError(f"{path} is not a bake of Lightpanes, or it is cut off; bake again. ({error})") from error
         try:
             meta = json.loads(bytes(arrays["meta"]))
-            version = meta["format"]
+            version, size = meta["format"], int(meta["resolution"])
+            if not all(isinstance(values, np.ndarray) for values in arrays.values()):
+                raise TypeError
         except (KeyError, ValueError, TypeError) as error:
             raise BakeError(f"{path} is not a bake of Lightpanes; bake again.") from error
         if version != FORMAT:
             raise BakeError(f"{path} was baked by another version of Lightpanes (format {version}); bake again.")
         pick = lambda prefix: {k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)}  # noqa: E731
-        result = cls(meta["resolution"], pick("image:"), pick("entry:"), arrays.get("direct"), meta)
+        result = cls(size, pick("image:"), pick("entry:"), arrays.get("direct"), meta)
         result.panes()
         return result
