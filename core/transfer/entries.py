@@ -90,8 +90,13 @@ def find_entries(
 
     total, buried = pilot(exits, 101)
     if buried.all():
-        total += np.bincount(front, minlength=2 * count)
+        # nothing but insides is wanted, so they count as rooms; their outsides must not lend them light
+        backside[:] = 0
+        total, _ = pilot(exits, 101)
     reached = _significant(total, patches)
+    if not reached.any():
+        # an open floor, say, whose rays meet nothing; lamps light its fronts all the same
+        reached[front] = True
     fresh = reached
     # what the exits see; then what those sides see, until nothing new turns up
     for step in range(4):

@@ -1,4 +1,4 @@
-"""Where light can get: a flood of particles from lamps, sky and glowing faces.
+"""Where light can get: a flood of particles from lamps, sky and glowing faces, or from all fronts where none is yet.
 
 Light stays out of solid things whether or not their meshes are closed, so what the flood finds tells the
 back of a sheet, which light reaches, from the inside of a box, which it does not.
@@ -19,7 +19,7 @@ BOUNCES = 12
 
 def flood(scene: Scene, patches: Patches, bvh: Bvh, offset: float, seed: int = 0) -> np.ndarray:
     """(2 × patches,) int64 particles that met each side of each patch: row 2p its front, 2p + 1 its back."""
-    origins, directions = _sources(scene, patches, seed)
+    origins, directions = _sources(scene, patches, offset, seed)
     hits_of_side = np.zeros(2 * len(patches), np.int64)
     clear = Transmission(scene).see_through[patches.parent]
     cross = np.cross(patches.corners[:, 1] - patches.corners[:, 0], patches.corners[:, 2] - patches.corners[:, 0])
@@ -48,7 +48,7 @@ def flood(scene: Scene, patches: Patches, bvh: Bvh, offset: float, seed: int = 0
     return hits_of_side
 
 
-def _sources(scene, patches, seed):
+def _sources(scene, patches, offset, seed):
     """Origins and directions (n, 3) float32 of the flood's particles."""
     parts = []
     lamps = [light for light in scene.lights if light.kind != "SUN"]
@@ -77,6 +77,12 @@ def _sources(scene, patches, seed):
         lift = samples.flat * side * np.float32(1e-5 * scene.extent)
         parts.append((samples.position + lift, around))
     if not parts:
-        return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)
+        # no light yet: lamps will be put where the faces look
+        samples = patches.sample(scene, np.resize(np.arange(len(patches), dtype=np.int32), PARTICLES), seed + 64)
+        index = np.arange(PARTICLES)
+        local = cosine_hemisphere(np.stack([hash_uniform(index, k, seed + 64) for k in (7, 8)], 1))
+        tangent, bitangent = frame(samples.flat)
+        ahead = local[:, :1] * tangent + local[:, 1:2] * bitangent + local[:, 2:] * samples.flat
+        parts.append((samples.position + samples.flat * np.float32(offset), ahead))
     origins, directions = (np.concatenate(p).astype(np.float32) for p in zip(*parts, strict=True))
     return origins, directions
