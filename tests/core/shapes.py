@@ -143,3 +143,17 @@ def moved(made: Scene, turn=None, shift=(0, 0, 0)) -> Scene:
         objects=made.objects,
         lights=[lamp(turn @ light.position + shift, light.power) for light in made.lights],
     )
+
+
+def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """(n, C) values of an (H, W, C) image at (n, 2) coordinates in [0, 1], as a renderer filters it."""
+    height, width = image.shape[:2]
+    x, y = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5
+    column, row = np.floor(x).astype(int), np.floor(y).astype(int)
+    result = 0
+    for dy in (0, 1):
+        for dx in (0, 1):
+            weight = np.abs(1 - dx - (x - column)) * np.abs(1 - dy - (y - row))
+            texel = image[np.clip(row + dy, 0, height - 1), np.clip(column + dx, 0, width - 1)]
+            result = result + weight[:, None] * texel
+    return result
