@@ -19,7 +19,7 @@ BOUNCES = 12
 
 def flood(scene: Scene, patches: Patches, bvh: Bvh, offset: float, seed: int = 0) -> np.ndarray:
     """(2 × patches,) int64 particles that met each side of each patch: row 2p its front, 2p + 1 its back."""
-    origins, directions = _sources(scene, patches, offset, seed)
+    origins, directions, guess = _sources(scene, patches, offset, seed)
     hits_of_side = np.zeros(2 * len(patches), np.int64)
     clear = Transmission(scene).see_through[patches.parent]
     cross = np.cross(patches.corners[:, 1] - patches.corners[:, 0], patches.corners[:, 2] - patches.corners[:, 0])
@@ -34,6 +34,9 @@ def flood(scene: Scene, patches: Patches, bvh: Bvh, offset: float, seed: int = 0
             break
         piece, ahead = hits.triangle[met], directions[met]
         behind = np.einsum("nd,nd->n", flat[piece], ahead) > 0
+        if guess and bounce == 0:
+            # a floor under a box sees nothing but the box's inside
+            met, piece, ahead, behind = (v[~behind] for v in (met, piece, ahead, behind))
         hits_of_side += np.bincount(2 * patches.patch[piece] + behind, minlength=len(hits_of_side))
         place = origins[met] + ahead * hits.distance[met, None]
         normal = np.where(behind[:, None], -flat[piece], flat[piece])
@@ -49,7 +52,7 @@ def flood(scene: Scene, patches: Patches, bvh: Bvh, offset: float, seed: int = 0
 
 
 def _sources(scene, patches, offset, seed):
-    """Origins and directions (n, 3) float32 of the flood's particles."""
+    """Origins and directions (n, 3) float32 of the flood's particles, and whether they are but a guess."""
     parts = []
     lamps = [light for light in scene.lights if light.kind != "SUN"]
     for light in lamps:
@@ -76,7 +79,7 @@ def _sources(scene, patches, offset, seed):
         side = np.where(np.einsum("nd,nd->n", around, samples.flat) < 0, -1, 1)[:, None]
         lift = samples.flat * side * np.float32(1e-5 * scene.extent)
         parts.append((samples.position + lift, around))
-    if not parts:
+    if guess := not parts:
         # no light yet: lamps will be put where the faces look
         samples = patches.sample(scene, np.resize(np.arange(len(patches), dtype=np.int32), PARTICLES), seed + 64)
         index = np.arange(PARTICLES)
@@ -85,4 +88,4 @@ def _sources(scene, patches, offset, seed):
         ahead = local[:, :1] * tangent + local[:, 1:2] * bitangent + local[:, 2:] * samples.flat
         parts.append((samples.position + samples.flat * np.float32(offset), ahead))
     origins, directions = (np.concatenate(p).astype(np.float32) for p in zip(*parts, strict=True))
-    return origins, directions
+    return origins, directions, guess

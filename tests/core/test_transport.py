@@ -171,11 +171,19 @@ def test_light_floods_both_sides_of_a_sheet_and_no_solid():
 
 
 def test_without_lamps_light_is_expected_before_the_faces():
-    made = scene((*box((0, 0, 0), (4, 3, 2.5), True), 0), (*box((2.5, 1, 0.5), (3.5, 2, 1.5)), 0))
+    made = scene(
+        (*box((0, 0, 0), (4, 3, 2.5), True), 0),
+        (*box((2.5, 1, 0.5), (3.5, 2, 1.5)), 0),
+        (*box((0.2, 0.2, 0), (0.8, 0.8, 0.6)), 0),
+        (*quad((1, 1, 1.2), (1, 0, 0), (0, 1, 0)), 0),
+    )
     patches = make_patches(made, 200)
     met = flood(made, patches, Bvh(patches.corners), OFFSET)
-    assert (met[0::2] > 0).all()
-    assert not met[1::2].any()
+    owner = made.triangle_object[patches.parent[np.unique(patches.patch, return_index=True)[1]]]
+    # all but the floor under the standing box, and its bottom
+    hidden = (np.abs(patches.position - [0.5, 0.5, 0]) < [0.35, 0.35, 0.01]).all(axis=1)
+    assert (met[0::2][~hidden] > 0).all()
+    assert (met[1::2] > 0).tolist() == (owner == 3).tolist()
 
 
 def test_glowing_and_tinted_patches():
