@@ -23,11 +23,11 @@ from ..core.transfer import find_entries, make_gatherer
 from . import atlas, baking, lamps, methods, reference, relight, store
 from .extract import extract
 
-RESOLUTION = 128
-"""Texels a side: references at 256² take most of ten minutes on two cores."""
+RESOLUTION = 256
+"""Texels a side, as in a bake; the chart then takes some four minutes on two cores."""
 
-CYCLES_SPP = (1, 4, 16, 64)
-REFERENCE_SPP = {"far": 256, "near": 768}
+CYCLES_SPP = (1, 4, 16, 48)
+REFERENCE_SPP = {"far": 96, "near": 256}
 """Samples a texel of each half; a lamp close to a surface makes small bright spots, which paths find rarely."""
 
 LADDER = (
@@ -46,7 +46,7 @@ WALKS = (256, 512, 1024, 2048, 4096)
 PATIENCE = 40.0
 """s that one bake may be expected to take; a way's larger budgets are left out, and the chart says so."""
 
-FAR, NEAR = 0.06, 0.025
+FAR, NEAR = 0.08, 0.025
 """Distances of the test lamps from surfaces, in parts of the scene's extent: far at least, near about."""
 
 POWER = 100.0
@@ -105,7 +105,7 @@ def measure(
 class Steps:
     """Progress over steps whose cost is known before, in units of about a second."""
 
-    TOTAL = 150
+    TOTAL = 190
 
     def __init__(self, progress):
         self.progress = progress
@@ -227,7 +227,7 @@ def _cycles(context, lamp, tests, resolution, steps) -> tuple[list[Truth], list[
 
     A half of the reference is itself a point: two independent estimates differ by their errors' root sum of squares.
     """
-    rate = 16_384 / resolution**2 / 100
+    rate = resolution**2 / 1_200_000  # s a sample on two cores, about
     _move(context, lamp, tests[0])
     # the first bake loads kernels
     reference.cycles_bake(context, {"INDIRECT"}, resolution, 1)
@@ -283,7 +283,7 @@ def _ladder(name, context, scene, lamp, tests, truths, extracting, steps, resolu
         if before is not None and paper and before[1] * size / before[0] > PATIENCE:
             notes.append(f"{name}: {size} entries and more left out, they would take over {PATIENCE:.0f} s.")
             return
-        steps.begin(f"{name}, {number} of {len(ladder)}", size / 150 if paper else number)
+        steps.begin(f"{name}, {number} of {len(ladder)}", size / 60 if paper else number)
         made = methods.METHODS[name](scene, settings, steps.tick)
         before = (size, made.seconds)
         errors, seconds = [], []

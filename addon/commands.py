@@ -6,6 +6,7 @@ Exit code 0 only on success; 2 with one line on stderr where the user can help i
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import platform
@@ -77,7 +78,7 @@ def _parser(opened: bool) -> argparse.ArgumentParser:
     again.add_argument("--frame", type=_number(-1048574, 1048574, int), metavar="N", help="frame to relight for")
     graph = command("chart", _chart, "Chart error against time, beside Cycles and the paper's method (some minutes).")
     graph.add_argument(
-        "--resolution", type=_number(32, 1024, int), default=128, metavar="N", help="atlas size in pixels (128)"
+        "--resolution", type=_number(32, 1024, int), default=256, metavar="N", help="atlas size in pixels (256)"
     )
     graph.add_argument("--seed", type=_number(0, 2**31 - 1, int), default=0, metavar="N", help="seed of all (0)")
     command("info", _info, "Say what a file's bake is and whether it is still valid.")
@@ -160,7 +161,7 @@ def _chart(options) -> int:
     path = _open(options)
     target = _target(options, path, "_chart")
     figures, picture = target.with_suffix(".json"), target.with_suffix(".png")
-    with Bar() as bar:
+    with Bar() as bar, quiet():
         found = chart.measure(bpy.context, options.resolution, options.seed, bar)
     report = {**context_of(path), **found}
     _replacing(figures, lambda place: place.write_text(json.dumps(report, indent=2) + "\n", "utf-8"))
@@ -297,6 +298,26 @@ def _settings(asked) -> dict:
 def _say(options, text: str) -> None:
     """For people: on stdout, unless the report goes there."""
     print(text, file=sys.stderr if options.json == "-" else sys.stdout)
+
+
+@contextlib.contextmanager
+def quiet():
+    """Blender writes a line to stdout, from C, for each of its bakes."""
+    sys.stdout.flush()
+    try:
+        kept = os.dup(1)
+    except OSError:
+        # no console at all
+        yield
+        return
+    with open(os.devnull, "w") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        os.dup2(kept, 1)
+        os.close(kept)
 
 
 class Bar:

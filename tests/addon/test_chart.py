@@ -1,0 +1,234 @@
+"""The chart: what it measures, what it writes, and the references and ways that it compares."""
+
+import json
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from lightpanes import addon  # noqa: E402
+from lightpanes.addon import atlas, chart, commands, methods, reference  # noqa: E402
+from lightpanes.addon.extract import extract  # noqa: E402
+from lightpanes.core import metrics  # noqa: E402
+from lightpanes.core.bake import Progress, Settings  # noqa: E402
+from lightpanes.core.scene import SceneError  # noqa: E402
+
+SIZE = 48
+SMALL = {"entries": 400, "entry_rays": 256, "exit_rays": 64, "regions": 8, "panes": 16, "lamps": 150}
+SETTINGS = Settings(resolution=SIZE, **SMALL)
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """A chart of few points, done in seconds."""
+    monkeypatch.setattr(chart, "CYCLES_SPP", (1, 16))
+    monkeypatch.setattr(chart, "REFERENCE_SPP", {"far": 128, "near": 256})
+    monkeypatch.setattr(chart, "LADDER", ({**SMALL, "entries": 200, "exit_rays": 16}, SMALL))
+    monkeypatch.setattr(chart, "WALKS", (64, 256))
+
+
+@pytest.fixture
+def file(room, tmp_path):
+    path = tmp_path / "room.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
+@pytest.fixture
+def placed(room):
+    """The room with its atlas, as the ways see it."""
+    atlas.make_atlas(bpy.context, [o for o in room.objects if o.type == "MESH"], SIZE)
+    return extract(bpy.context, resolution=SIZE)
+
+
+def nearest(scene, place):
+    """Distance of a place from the scene's triangles, by brute force over points on them."""
+    corners = scene.positions[scene.triangles]
+    fine = np.stack(np.meshgrid(*[np.linspace(0, 1, 40)] * 2), -1).reshape(-1, 2)
+    fine = fine[fine.sum(axis=1) <= 1]
+    points = np.einsum("nk,tkc->tnc", np.column_stack([1 - fine.sum(axis=1), fine]), corners).reshape(-1, 3)
+    return np.linalg.norm(points - place, axis=1).min()
+
+
+def test_chart_of_a_room(file, small):
+    steps: list[Progress] = []
+    found = chart.measure(bpy.context, SIZE, 0, steps.append)
+    assert list(found["methods"]) == ["Cycles", *methods.METHODS]
+    assert json.loads(json.dumps(found)) == found
+    cycles, walks, clusters, ours = found["methods"].values()
+    for line in found["methods"].values():
+        for point in line:
+            assert len(point["errors"]) == len(found["lamps"]) == 3
+            assert point["error"] == pytest.approx(np.mean(point["errors"]), abs=1e-4)
+            assert 0 < point["relight_s"] < 60 and 0 < point["bake_s"] < 60
+    assert [point["spp"] for point in cycles] == [1, 16, 128]
+    # the error falls with the root of the samples
+    assert cycles[1]["error"] == pytest.approx(cycles[0]["error"] / 4, rel=0.3)
+    assert cycles[2]["error"] == pytest.approx(cycles[1]["error"] / np.sqrt(8), rel=0.4)
+    assert max(found["reference_noise"]) < cycles[1]["error"] / 2
+    assert ours[-1]["error"] < 0.25 and clusters[-1]["error"] < 0.5
+    assert ours[-1]["error"] < walks[-1]["error"]
+    assert all(point["relight_s"] < cycles[-1]["bake_s"] for point in ours)
+    assert [step.fraction for step in steps] == sorted(step.fraction for step in steps)
+    assert steps[-1].fraction == 1.0
+
+
+def test_lamps_are_where_the_chart_says(placed):
+    found = chart.find_lamps(placed, SIZE, 0)
+    assert [lamp.kind for lamp in found] == ["far", "far", "near"]
+    for lamp in found:
+        assert (np.abs(lamp.place) < 1).all()
+        assert nearest(placed, lamp.place) == pytest.approx(lamp.room, rel=0.35)
+    extent = placed.extent
+    assert min(lamp.room for lamp in found[:2]) > chart.FAR * extent
+    assert found[2].room < 1.2 * chart.NEAR * extent
+    assert chart.find_lamps(placed, SIZE, 0) == found
+    assert chart.find_lamps(placed, SIZE, 1) != found
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "bias"),
+    [("gather + eigenpanes", 0.12, 0.04), ("gather + clusters", 0.2, 0.04), ("virtual lights + clusters", 1.0, 0.15)],
+)
+def test_ways_against_cycles(placed, name, error, bias):
+    lit = reference.indirect(bpy.context, SIZE, 128)
+    made = methods.METHODS[name](placed, SETTINGS, lambda part: None)
+    found = metrics.compare(
+        made.relight(placed.lights), lit.image, lit.mask & made.valid, reference_halves=tuple(lit.halves)
+    )
+    assert found.error < error
+    assert abs(found.bias) < bias
+    assert made.seconds > 0 and made.rays > 0 and made.bytes > 0
+    assert made.entries == pytest.approx(SMALL["entries"], rel=0.1)
+    # light is linear in the lamps
+    once = made.relight(placed.lights).copy()
+    twice = made.relight([replace(placed.lights[0], power=2 * placed.lights[0].power)])
+    assert np.allclose(twice, 2 * once, rtol=1e-3, atol=1e-6)
+
+
+def test_virtual_lights_of_some_texels(placed):
+    whole = methods.virtual_lights(placed, replace(SETTINGS, entries=64), lambda part: None)
+    part = np.indices((SIZE, SIZE)).sum(axis=0) % 5 == 0
+    some = methods.virtual_lights(placed, replace(SETTINGS, entries=64), lambda part: None, part)
+    assert (some.valid == (whole.valid & part)).all()
+    expected = whole.relight(placed.lights)[some.valid]
+    assert np.allclose(some.relight(placed.lights)[some.valid], expected, rtol=1e-4)
+
+
+def test_reference_halves_are_independent_and_leave_the_scene(placed, room):
+    before = (
+        room.render.engine,
+        room.cycles.samples,
+        room.cycles.seed,
+        {o.name: o.data.name for o in room.objects},
+        {m.name: len(m.node_tree.nodes) for m in bpy.data.materials},
+        len(bpy.data.images),
+        len(bpy.data.meshes),
+    )
+    calls = []
+    found = reference.indirect(bpy.context, SIZE, 16, progress=lambda: calls.append(0))
+    again = reference.indirect(bpy.context, SIZE, 16)
+    assert len(calls) == 2
+    assert np.array_equal(found.halves, again.halves)
+    other = reference.indirect(bpy.context, SIZE, 16, seed=1)
+    inside = found.mask
+    gap = (found.halves[0] - found.halves[1])[inside]
+    cross = (found.halves[0] - other.halves[0])[inside]
+    assert gap.std() == pytest.approx(cross.std(), rel=0.25)
+    assert abs(gap.mean()) < 0.05 * found.image[inside].mean()
+    after = (
+        room.render.engine,
+        room.cycles.samples,
+        room.cycles.seed,
+        {o.name: o.data.name for o in room.objects},
+        {m.name: len(m.node_tree.nodes) for m in bpy.data.materials},
+        len(bpy.data.images),
+        len(bpy.data.meshes),
+    )
+    assert after == before
+
+
+def test_steady_light_is_put_out(room, small):
+    world = bpy.data.worlds.new("Sky")
+    room.world = world
+    shader = bpy.data.materials["Block"].node_tree.nodes["Principled BSDF"]
+    shader.inputs["Emission Color"].default_value = (1, 1, 1, 1)
+    shader.inputs["Emission Strength"].default_value = 50.0
+    scene, _ = chart._open(bpy.context, SIZE)
+    assert not any(any(m.emission) for m in scene.materials) and scene.sky is None and not scene.lights
+    dark, mask, _ = reference.cycles_bake(bpy.context, {"DIRECT", "INDIRECT"}, SIZE, 1)
+    assert mask.any() and not dark[mask].any()
+
+
+def test_black_scene(room, small):
+    for material in bpy.data.materials:
+        material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0, 0, 0, 1)
+    with pytest.raises(SceneError, match="light nothing: every surface is black"):
+        chart.measure(bpy.context, 32)
+
+
+def test_long_ways_are_left_out(room, small, monkeypatch):
+    monkeypatch.setattr(chart, "PATIENCE", 0.0)
+    found = chart.measure(bpy.context, 32)
+    assert len(found["methods"]["virtual lights + clusters"]) == 1
+    assert found["notes"] == ["virtual lights + clusters: 256 entries and more left out, they would take over 0 s."]
+
+
+def run_chart(*words):
+    return commands.main(["chart", *map(str, words), "--resolution", "32"])
+
+
+def test_command_writes_picture_and_figures(file, small, tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    original, folder = file.read_bytes(), tmp_path / "out"
+    assert run_chart(file, "--output", folder, "--json", tmp_path / "report.json") == 0
+    assert sorted(p.name for p in folder.iterdir()) == ["room_chart.json", "room_chart.png"]
+    assert file.read_bytes() == original
+    said = json.loads((folder / "room_chart.json").read_text())
+    assert said == json.loads((tmp_path / "report.json").read_text())
+    assert said["scene"] == "room" and said["resolution"] == 32
+    assert "room_chart.png" in capsys.readouterr().out
+    picture = bpy.data.images.load(str(folder / "room_chart.png"))
+    assert min(picture.size) > 600
+    pixels = np.array(picture.pixels, np.float32).reshape(-1, 4)[:, :3]
+    assert 0.01 < (pixels.min(axis=1) < 0.8).mean() < 0.4
+
+
+def test_command_without_matplotlib(file, small, monkeypatch, capsys):
+    for name in [n for n in sys.modules if n.split(".")[0] == "matplotlib" or n == "lightpanes.addon.plot"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.delattr(addon, "plot", raising=False)
+    assert run_chart(file) == 0
+    assert sorted(p.name for p in file.parent.iterdir()) == ["room.blend", "room_chart.json"]
+    assert "no picture: that needs matplotlib (pip install matplotlib)" in capsys.readouterr().out
+
+
+def test_command_without_a_mesh(file, small, capsys):
+    for item in [o for o in bpy.context.scene.objects if o.type == "MESH"]:
+        bpy.data.objects.remove(item)
+    bpy.ops.wm.save_as_mainfile(filepath=str(file))
+    assert run_chart(file) == 2
+    assert "There is nothing to bake" in capsys.readouterr().err
+    assert [p.name for p in file.parent.glob("*chart*")] == []
+
+
+def test_picture_of_odd_figures(tmp_path):
+    pytest.importorskip("matplotlib")
+    from lightpanes.addon import plot
+
+    one = {"error": 0.0, "errors": [0.0, 0.0], "bake_s": 2000.0, "relight_s": 2e-5, "entries": 10}
+    far = {"error": 9.0, "errors": [8.0, 10.0], "bake_s": 0.01, "relight_s": 3.0, "spp": 1}
+    found = {
+        "scene": "odd",
+        "resolution": 32,
+        "triangles": 12,
+        "reference_spp": {"far": 4},
+        "lamps": [{"kind": "far", "room_m": 1.0}, {"kind": "near", "room_m": 0.004}],
+        "methods": {"Cycles": [far], "gather + eigenpanes": [one], "gather + clusters": []},
+    }
+    plot.draw(found, tmp_path / "odd.png")
+    assert (tmp_path / "odd.png").stat().st_size > 10_000
