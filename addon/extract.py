@@ -38,7 +38,8 @@ def extract(context: bpy.types.Context, *, resolution: int, albedo: bool = True)
     with visibility.as_rendered(context) as depsgraph:
         found = _read_parts(context, depsgraph, warnings)
         lights = lamps.read_lights(depsgraph, warnings)
-        sky = lamps.read_sky(context.scene.world, warnings) if context.scene.world else None
+        # a textured world is evaluated by a render, which shadow rays at a relight have no use for
+        sky = lamps.read_sky(context.scene.world, warnings) if albedo and context.scene.world else None
     parts, objects, sources, used = found
     triangles = np.concatenate([part.triangles for part in parts])
     counts = [len(part.triangles) for part in parts]

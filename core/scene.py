@@ -63,7 +63,9 @@ class Light:
         faces it. Energy, colour, exposure and temperature are multiplied in.
     radius: of a POINT or SPOT lamp, m. angle: angular diameter of a SUN, rad.
     spot_angle: full cone angle, rad; spot_blend: softness of its edge in [0, 1].
-    shape, size: of an AREA lamp; full extents along local X and Y, m. spread: full angle, rad.
+    shape, size: of an AREA lamp; full extents along local X and Y, m. spread: full angle, rad. For POINT and SPOT,
+        shape "DISK" means Blender's soft falloff (a disk that faces the receiver), any other a sphere; for a SPOT,
+        size is its X and Y scale over Z, (1, 1) for a round cone.
     casts_shadow: whether anything blocks it.
     """
 
