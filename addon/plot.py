@@ -48,7 +48,7 @@ def draw(result: dict, path: Path) -> None:
     figure.text(
         0.065,
         0.895,
-        f"Mean over {len(result['lamps'])} lamp positions that nothing was trained on{near}; thin lines: best to worst.",
+        f"Mean over {len(result['lamps'])} lamp positions that nothing was trained on{near}; thin lines: best to worst lamp; dashed: the default target.",
         fontsize=10.5,
         color=SOFT,
     )
@@ -70,7 +70,9 @@ def _panel(axes, found, key, title, below):
     times = [p[key] for p in points]
     axes.set_xlim(min(times) / 1.9, max(times) * 1.9)
     errors = [e for p in points for e in (p["error"], *p["errors"]) if e > 0]
-    axes.set_ylim(max(min(min(errors), TARGET) / 1.5, 5e-4), max(*errors, TARGET) * 1.3)
+    low = min(*errors, TARGET) / 1.5
+    # what is worst for some lamp may leave the picture
+    axes.set_ylim(max(low, 5e-4), 1.5 * max(*(p["error"] for p in points), TARGET))
     axes.set_axisbelow(True)
     axes.grid(True, color=GRID, linewidth=0.9)
     for side in axes.spines.values():
@@ -78,16 +80,6 @@ def _panel(axes, found, key, title, below):
     axes.tick_params(length=0, labelsize=10, colors=INK)
     _ticks(axes)
     axes.axhline(TARGET, color=INK, linewidth=1.1, linestyle=(0, (5, 3)), zorder=1.5)
-    axes.text(
-        0.995,
-        TARGET,
-        f"{100 * TARGET:g} % ",
-        transform=axes.get_yaxis_transform(),
-        ha="right",
-        va="bottom",
-        color=INK,
-        fontsize=10,
-    )
     axes.set_title(title, loc="left", fontsize=13, color=INK, pad=8)
     axes.set_xlabel(below, color=INK, fontsize=11)
     for name, line in found.items():
