@@ -59,9 +59,9 @@ def plan(scene: Scene, settings: Settings) -> Budget:
     """
     finer = 0.05 / settings.error_target
     budget = Budget(
-        entries=_clamp(4096 * finer**0.6, 800, 10_000),
+        entries=_clamp(4400 * finer**0.6, 800, 10_000),
         entry_rays=_clamp(512 * finer, 256, 4096),
-        exit_rays=_clamp(128 * finer, 32, 2048),
+        exit_rays=_clamp(192 * finer, 32, 2048),
         regions=_clamp(192 * finer**0.3, 48, 256),
         panes=16 if finer <= 2 else 24,
         lamps=_clamp(2000 * finer**0.5, 400, 4000),
