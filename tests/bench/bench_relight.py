@@ -61,5 +61,5 @@ def sample_rows(name: str) -> list[dict]:
             ratio,
             2,
             detail=f"{size:.1f} MiB, {np.median(read):.2f} ms",
-        ),  # fmt: skip
+        ),
     ]
