@@ -94,7 +94,9 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
     lamps = training_lamps(scene, places, gatherer, budget.lamps, seed + 6)
     clock.start("Lamps", len(lamps))
     direct = illuminate(lamps, places, PLACES, tracer, seed, lambda done: clock.tick(done, done * len(entries)))
-    test = training_lamps(scene, places, gatherer, TEST_LAMPS, seed + 1006)
+    # three at a time stand for red, green and blue
+    test = training_lamps(scene, places, gatherer, TEST_LAMPS + 3, seed + 1006)
+    test = test[len(test) % 3 :]
     test_direct = illuminate(test, places, PLACES, tracer, seed + 1000)
 
     clock.start("Panes", 4)

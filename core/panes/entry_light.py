@@ -12,8 +12,8 @@ from ..scene import Light
 from ..surface import Patches, SurfaceSamples
 from ..transfer import Entries
 
-FEW = 4
-"""Places of an entry that see a lamp; all of them once the lamp is near."""
+FEW = 2
+"""Places of an entry that see a lamp, those whose middle is nearest to the entry's; all once the lamp is near."""
 
 CLOSE = 3.0
 """A lamp is near an entry within this many times the entry's size."""
@@ -73,10 +73,9 @@ class EntryLight:
         self._position = surface.position.reshape(count, self.each, 3)
         self._normal = surface.normal.reshape(count, self.each, 3)
         self.few = min(FEW, self.each)
+        pick = _balanced_pair(self._position) if self.few == FEW else np.zeros((count, self.few), np.int64)
         # place-major: the first block is one place on every entry
-        self._few = tuple(
-            np.ascontiguousarray(v[:, : self.few].swapaxes(0, 1)).reshape(-1, 3) for v in (self._position, self._normal)
-        )
+        self._few = tuple(v[np.arange(count), pick.T].reshape(-1, 3) for v in (self._position, self._normal))
         self._first_piece = np.cumsum(surface.counts) - surface.counts
 
     def unit(self, light: Light) -> np.ndarray:
@@ -125,3 +124,17 @@ class EntryLight:
         dots = [np.einsum("nd,nd->n", *pair) for pair in ((a, b), (a, c), (b, c))]
         angle = 2 * np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * lb + dots[2] * la)
         return np.bincount(np.repeat(np.arange(len(entries)), counts), np.maximum(angle, 0), len(entries))
+
+
+def _balanced_pair(position: np.ndarray) -> np.ndarray:
+    """(n, 2) int of the two places of each entry (n, each, 3) whose middle is nearest to the middle of all.
+
+    Light that varies evenly over the entry is then averaged without error.
+    """
+    centred = position - position.mean(axis=1, keepdims=True)
+    gram = np.einsum("nid,njd->nij", centred, centred)
+    square = np.einsum("nii->ni", gram)
+    apart = square[:, :, None] + square[:, None, :] + 2 * gram
+    each = position.shape[1]
+    apart[:, *np.tril_indices(each)] = np.inf
+    return np.stack(np.divmod(apart.reshape(len(position), -1).argmin(axis=1), each), 1)

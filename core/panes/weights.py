@@ -9,6 +9,7 @@ rank loses is made good by gathering the field once more with A (final gathering
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -18,8 +19,8 @@ from .modes import Modes
 RANK = 192
 """Leading fields kept of all bounces after the first."""
 
-STRIPE = 192
-"""Rows of a large matrix that are multiplied together."""
+TILE = 32
+"""Rows of the large operator that lie together in memory; see `PaneWeights._gather`."""
 
 
 @dataclass(frozen=True)
@@ -38,25 +39,31 @@ class PaneWeights:
 
     def of(self, direct: np.ndarray) -> np.ndarray:
         """(m, 3) float32 weights for the entries' direct irradiance (n, 3) float32, W/m²."""
-        once = _product(self.first, self.albedo * direct)
+        once = self._gather(self.albedo * direct)
         again = np.stack([self.later[c] @ np.ascontiguousarray(once[:, c]) for c in range(3)], 1)
         guess = (once + self.spread @ again).reshape(-1, self.field.shape[1], 3)
         indirect = np.einsum("nk,nkc->nc", self.field, guess.take(self.region, axis=0))
-        return _product(self.first, self.albedo * (direct + indirect))
+        return self._gather(self.albedo * (direct + indirect))
 
+    def _gather(self, light: np.ndarray) -> np.ndarray:
+        """(m, 3): A @ light (n, 3), by tiles.
 
-def _product(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """matrix (m, n) @ columns (n, 3), float32, in blocks that stay in the cache for all three columns.
+        With three columns the product is bound by memory, and BLAS would spend more time on repacking A than on
+        reading it; for small tiles with the long side first it does not repack.
+        """
+        columns = np.ascontiguousarray(light.T)
+        found = np.matmul(columns, self._tiles)
+        return found.transpose(0, 2, 1).reshape(-1, 3)[: len(self.first)]
 
-    A product with so few columns is bound by memory, and BLAS would spend more time on repacking the matrix.
-    """
-    result = np.empty((columns.shape[1], len(matrix)), np.float32)
-    vectors = np.ascontiguousarray(columns.T)
-    for start in range(0, len(matrix), STRIPE):
-        stripe = slice(start, min(start + STRIPE, len(matrix)))
-        for c, vector in enumerate(vectors):
-            np.dot(matrix[stripe], vector, out=result[c, stripe])
-    return np.ascontiguousarray(result.T)
+    @cached_property
+    def _tiles(self) -> np.ndarray:
+        """(m / TILE, n, TILE) float32, `first` rearranged; zero beyond its last row."""
+        size, count = self.first.shape
+        tiles = np.zeros((-(-size // TILE), count, TILE), np.float32)
+        for number, tile in enumerate(tiles):
+            rows = self.first[number * TILE : (number + 1) * TILE]
+            tile[:, : len(rows)] = rows.T
+        return tiles
 
 
 def make_weights(entries: Entries, transport: Transport, modes: Modes, direct: np.ndarray) -> PaneWeights:

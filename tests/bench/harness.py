@@ -160,7 +160,10 @@ def _store(fresh: list[dict], merge: bool) -> None:
     OUT.mkdir(parents=True, exist_ok=True)
     lines = sorted(rows.values(), key=lambda line: not line["row"].startswith(CALIBRATION))
     # JSON has no infinity
-    lines = [line | {"value": line["value"] if math.isfinite(line["value"]) else None} for line in lines]
+    lines = [
+        line | {"value": line["value"] if line["value"] is not None and math.isfinite(line["value"]) else None}
+        for line in lines
+    ]
     part = RESULTS.with_suffix(".part")
     part.write_text(json.dumps(lines, indent=1, ensure_ascii=False) + "\n")
     part.replace(RESULTS)
