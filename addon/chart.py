@@ -20,6 +20,7 @@ from ..core.rays import Bvh, Tracer
 from ..core.scene import Scene, SceneError
 from ..core.surface import make_patches, make_texels
 from ..core.transfer import find_entries, make_gatherer
+from ..core.transfer.entries import PLACES
 from . import atlas, baking, lamps, methods, reference, relight, store
 from .extract import extract
 
@@ -183,7 +184,7 @@ def find_lamps(scene: Scene, resolution: int, seed: int = 0) -> list[TestLamp]:
     bvh, tracer = Bvh(patches.corners), Tracer(scene)
     entries, _ = find_entries(scene, patches, bvh, texels.samples, tracer.offset, seed)
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset)
-    points = entries.points(scene, patches, 1, seed + 501)
+    points = entries.places.take(np.arange(len(entries)) * PLACES)
     extent = scene.extent
     rng = np.random.default_rng(seed + 502)
     share = entries.area / entries.area.sum()

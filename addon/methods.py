@@ -26,9 +26,6 @@ from ..core.transfer.virtual_lights import gather_virtual_lights, walk
 CLUSTERS = 256
 """Panes of the paper."""
 
-PLACES = 16
-"""Places on each entry where lamps are evaluated, as in a bake."""
-
 Tick = Callable[[float], None]
 """Called with the part of the bake that is done, in [0, 1]; an exception that it raises ends the bake."""
 
@@ -80,9 +77,7 @@ def gathered_clusters(scene: Scene, settings: Settings, tick: Tick) -> Baked:
         traced[0] += rays
         tick(min(traced[0] / traced[1], 1))
 
-    transport = make_transport(
-        scene, base.patches, base.entries, gatherer, budget.entry_rays, settings.seed, lambda rays, *_: count(rays)
-    )
+    transport = make_transport(base.entries, gatherer, budget.entry_rays, settings.seed, lambda rays, *_: count(rays))
     cluster = make_clusters(base.entries, CLUSTERS, scene.extent, settings.seed)
     panes = gather_clusters(
         base.entries,
@@ -147,8 +142,7 @@ class _Base:
         use = np.ones(len(texels), bool) if buried.all() else ~buried
         if part is not None:
             use &= part.reshape(-1)[texels.index]
-        places = entries.points(scene, patches, PLACES, seed + 5)
-        surface = EntrySurface.of(entries, patches, places, tracer.offset)
+        surface = EntrySurface.of(entries, patches, entries.places, tracer.offset)
         return cls(scene, texels.keep(use), patches, bvh, tracer, entries, EntryLight(surface, tracer, seed))
 
     def baked(self, panes, seconds, rays):

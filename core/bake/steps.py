@@ -16,11 +16,8 @@ from ..rays import Bvh, Tracer
 from ..scene import Scene
 from ..surface import Patches, SurfaceSamples, Texels, make_patches, make_texels
 from ..transfer import Entries, Gatherer, Transport, find_entries, make_gatherer, make_transport
-from ..transfer.entries import MAX_ALBEDO
+from ..transfer.entries import MAX_ALBEDO, PLACES
 from .clock import Clock
-
-PLACES = 16
-"""Places on each entry where lamps are evaluated at run time."""
 
 SKY_BINS = (32, 64)
 """Bins of a sky that is not uniform: rows of equal solid angle, columns."""
@@ -88,9 +85,9 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
 
     clock.start("Transport", len(entries) * budget.entry_rays)
-    transport = make_transport(scene, patches, entries, gatherer, budget.entry_rays, seed, clock.tick)
+    transport = make_transport(entries, gatherer, budget.entry_rays, seed, clock.tick)
 
-    places = entries.points(scene, patches, PLACES, seed + 5)
+    places = entries.places
     lamps = training_lamps(scene, places, gatherer, budget.lamps, seed + 6)
     clock.start("Lamps", len(lamps))
     direct = illuminate(lamps, places, PLACES, tracer, seed, lambda done: clock.tick(done, done * len(entries)))

@@ -24,7 +24,7 @@ class EntrySurface:
     """The entries as lamps see them, all that a relight needs of the scene's shape.
 
     position, normal: (n × each, 3) float32 places on the entries, lifted off the surface, row-major.
-    albedo: (n, 3) float32. size: (n,) float32, √area, m. pieces: (p, 3, 3) float32 corners, m, of the triangles
+    albedo: (n, 3) float32. size: (n,) float32, √area of the whole patch, m. pieces: (p, 3, 3) float32 corners, m, of the triangles
     that make the entries, wound towards the entry's side and sorted by entry; counts: (n,) int32 pieces of each.
     """
 
@@ -54,7 +54,7 @@ class EntrySurface:
             position=(places.position + places.flat * np.float32(offset)).astype(np.float32),
             normal=places.normal,
             albedo=entries.albedo,
-            size=np.sqrt(entries.area).astype(np.float32),
+            size=np.sqrt(patches.area[entries.patch]).astype(np.float32),
             pieces=np.ascontiguousarray(pieces),
             counts=counts.astype(np.int32),
         )

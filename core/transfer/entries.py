@@ -16,6 +16,9 @@ from ..surface import Patches, SurfaceSamples
 from .gather import Gatherer
 from .reach import flood
 
+PLACES = 16
+"""Places on each entry from which its rays start and where lamps are evaluated."""
+
 PILOT_RAYS = 16
 SIGNIFICANT = 0.02
 """A back side gets an entry when its share of the rays exceeds this part of the average side's."""
@@ -31,6 +34,8 @@ MAX_ALBEDO = 0.98
 class Entries:
     """Sides of patches on which lamps may shine.
 
+    places: n × PLACES samples on them, row-major: the first PLACES rows are entry 0's. Where other things stand on
+    a patch its places lie on the part that is left, and area counts that part only.
     patch: (n,) int32. back: (n,) bool, the patch's reverse. area: (n,) float64 m². position, normal:
     (n, 3) float32. albedo: (n, 3) float32 in [0, MAX_ALBEDO]. radiosity: (n, 3) float32 emitted, W/m².
     front_id, back_id: (patches,) int32 entry of each patch's side, n where it has none.
@@ -45,17 +50,18 @@ class Entries:
     radiosity: np.ndarray
     front_id: np.ndarray
     back_id: np.ndarray
+    places: SurfaceSamples
 
     def __len__(self) -> int:
         return len(self.patch)
 
-    def points(self, scene: Scene, patches: Patches, each: int, seed: int) -> SurfaceSamples:
-        """`each` random places on every entry, row-major: the first `each` rows are entry 0's."""
-        samples = patches.sample(scene, np.repeat(self.patch, each), seed)
-        # smooth shading can turn the flat normal over; the patch's own geometry names the side
-        cross = scene.triangle_cross()[samples.triangle]
-        upside = np.einsum("nd,nd->n", cross, samples.flat) < 0
-        return samples.flipped(np.repeat(self.back, each) ^ upside)
+
+def _places(scene: Scene, patches: Patches, patch: np.ndarray, back: np.ndarray, seed: int) -> SurfaceSamples:
+    """A random place on each of `patch` (n,), on its reverse where `back` (n,) is set."""
+    samples = patches.sample(scene, patch.astype(np.int32), seed)
+    # smooth shading can turn the flat normal over; the patch's own geometry names the side
+    upside = np.einsum("nd,nd->n", scene.triangle_cross()[samples.triangle], samples.flat) < 0
+    return samples.flipped(back ^ upside)
 
 
 def find_entries(
@@ -104,12 +110,15 @@ def find_entries(
         if not len(sides):
             break
         chosen = np.tile(sides, max(1, 12_000 // len(sides)))
-        samples = patches.sample(scene, (chosen // 2).astype(np.int32), seed + 11 + step)
-        upside = np.einsum("nd,nd->n", scene.triangle_cross()[samples.triangle], samples.flat) < 0
-        total = total + pilot(samples.flipped((chosen % 2 == 1) ^ upside), 200 + step)[0]
+        points = _places(scene, patches, chosen // 2, chosen % 2 == 1, seed + 11 + step)
+        total = total + pilot(points, 200 + step)[0]
         now = _significant(total, patches)
         fresh, reached = now & ~reached, now | reached
-    return _make(scene, patches, np.flatnonzero(reached)), buried
+    sides = np.flatnonzero(reached)
+    each = np.repeat(sides, PLACES)
+    places = _places(scene, patches, each // 2, each % 2 == 1, seed + 5)
+    hidden = pilot(places, 300)[1].reshape(-1, PLACES)
+    return _make(patches, sides, places, hidden), buried
 
 
 def _significant(hits, patches):
@@ -122,8 +131,14 @@ def _significant(hits, patches):
     return hits > SIGNIFICANT * average * area
 
 
-def _make(scene, patches, sides):
+def _make(patches, sides, places, hidden):
     count = len(sides)
+    hidden = np.where(hidden.all(axis=1, keepdims=True), False, hidden)
+    # places that are left stand in for the hidden ones, in turns
+    left = PLACES - hidden.sum(axis=1)
+    order = np.argsort(hidden, axis=1, kind="stable")
+    pick = np.take_along_axis(order, np.arange(PLACES) % left[:, None], axis=1)
+    places = places.take((pick + PLACES * np.arange(count)[:, None]).reshape(-1))
     patch, back = (sides // 2).astype(np.int32), sides % 2 == 1
     front_id = np.full(len(patches), count, np.int32)
     back_id = front_id.copy()
@@ -136,11 +151,12 @@ def _make(scene, patches, sides):
     return Entries(
         patch=patch,
         back=back,
-        area=patches.area[patch],
+        area=patches.area[patch] * (left / PLACES),
         position=patches.position[patch],
         normal=patches.normal[patch] * sign,
         albedo=np.clip(patches.albedo[patch] / opaque, 0, MAX_ALBEDO).astype(np.float32),
         radiosity=(np.pi * patches.emission[patch] / opaque).astype(np.float32),
         front_id=front_id,
         back_id=back_id,
+        places=places,
     )

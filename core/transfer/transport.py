@@ -14,12 +14,9 @@ import numpy as np
 from ..rays import CHUNK, Bvh
 from ..scene import Scene
 from ..surface import Patches
-from .entries import Entries
+from .entries import PLACES, Entries
 from .gather import Gatherer
 from .pairs import far_pairs, sample_pairs
-
-PLACES = 16
-"""Places on each entry from which its rays start."""
 
 PAIR_SAMPLES = 3
 """Rays between each pair of entries at middling distance."""
@@ -53,8 +50,6 @@ class Transport:
 
 
 def make_transport(
-    scene: Scene,
-    patches: Patches,
     entries: Entries,
     gatherer: Gatherer,
     rays: int,
@@ -66,8 +61,7 @@ def make_transport(
     Reciprocity, A_i F_ij = A_j F_ji, makes one estimate of both directions.
     """
     count, columns = len(entries), gatherer.size
-    places = min(PLACES, rays)
-    points = entries.points(scene, patches, places, seed + 31)
+    places, points = PLACES, entries.places
     each = max(1, rays // places)
     counts = np.zeros((count, columns), np.float32)
     share = CHUNK // places

@@ -13,7 +13,7 @@ from ..rays import Bvh, Tracer, in_threads
 from ..sampling import cosine_hemisphere, frame, hash_uniform
 from ..scene import Scene
 from ..surface import Patches, SurfaceSamples, sample_triangles, surface_colour
-from .entries import MAX_ALBEDO, Entries
+from .entries import MAX_ALBEDO, PLACES, Entries
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 """Rec.709."""
@@ -35,7 +35,7 @@ class VirtualLights(NamedTuple):
 def walk(scene: Scene, patches: Patches, entries: Entries, bvh: Bvh, offset: float, seed: int = 0) -> VirtualLights:
     """One walk from each entry; it goes on with the odds of the albedo's luminance (Russian roulette)."""
     index = np.arange(len(entries))
-    samples = entries.points(scene, patches, 1, seed + 81)
+    samples = entries.places.take(np.arange(len(entries)) * PLACES)
     flux = np.repeat(entries.area[:, None], 3, axis=1).astype(np.float32)
     lights = []
     for step in range(LONGEST):

@@ -7,6 +7,7 @@ from lightpanes.core.sampling import uniform_sphere
 from lightpanes.core.scene import Material, Scene
 from lightpanes.core.surface import SurfaceSamples, make_patches, make_texels
 from lightpanes.core.transfer import Gatherer, find_entries, make_gatherer
+from lightpanes.core.transfer.entries import PLACES
 from lightpanes.core.transfer.gather import sky_bin
 
 from .shapes import box, globe, quad, room, room_parts, scene
@@ -175,8 +176,8 @@ def test_the_outside_of_a_sealed_room_has_no_entry():
     assert (entries.back_id == len(entries)).all()
     assert np.array_equal(np.sort(entries.front_id[entries.front_id < len(entries)]), np.arange(len(entries)))
     # places on entries are on their own side
-    points = entries.points(made, patches, 4, 3)
-    assert (np.einsum("nd,nd->n", points.flat, np.repeat(entries.normal, 4, axis=0)) > 0.99).all()
+    normal = np.repeat(entries.normal, PLACES, axis=0)
+    assert (np.einsum("nd,nd->n", entries.places.flat, normal) > 0.99).all()
 
 
 def test_texels_inside_a_solid_are_buried():

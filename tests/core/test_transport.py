@@ -44,7 +44,7 @@ def transport_of(made, count, rays=512):
     bvh = Bvh(patches.corners)
     entries, _ = find_entries(made, patches, bvh, patches.sample(made, np.arange(len(patches)), 1), OFFSET)
     gatherer = make_gatherer(made, patches, entries, bvh, OFFSET)
-    return patches, bvh, entries, gatherer, make_transport(made, patches, entries, gatherer, rays)
+    return patches, bvh, entries, gatherer, make_transport(entries, gatherer, rays)
 
 
 OPEN = pytest.mark.xfail(reason="rows are balanced to a noisy sum where most rays escape", strict=False)
