@@ -33,10 +33,14 @@ class Settings:
     def __post_init__(self):
         if not 1e-3 <= self.error_target <= 1:
             raise SceneError(f"The error target is {self.error_target}; use a number from 0.001 to 1.")
-        if self.time_budget < 0:
+        if not 0 <= self.time_budget < 1e9:
             raise SceneError(f"The time budget is {self.time_budget} s; use 0 for none, or a positive number.")
         if not 16 <= self.resolution <= 8192:
             raise SceneError(f"The resolution is {self.resolution}; use 16 to 8192 texels.")
+        for name in ("entries", "entry_rays", "exit_rays", "regions", "panes", "lamps"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise SceneError(f"The budget {name} is {value}; use a positive number, or None for the planner's.")
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,9 @@ from lightpanes.core.surface import make_patches
 
 from .shapes import baked_room, globe, lamp, quick, relighter, room, scene
 
+ORACLE_RAYS = 512
+"""So many that the oracle's own noise is well below what is compared."""
+
 PLACES_IN_ROOM = [(3, 1.5, 2), (0.5, 2.6, 1.2), (2.4, 0.5, 0.4)]
 
 
@@ -27,7 +30,7 @@ def prepared_room():
     """The room of `baked_room`, prepared alike, and the ids of its gather, (rays, texels)."""
     made = baked_room()[0]
     ready = prepare(made, quick())
-    ids = np.zeros((64, len(ready.exits)), np.int32)
+    ids = np.zeros((ORACLE_RAYS, len(ready.exits)), np.int32)
     at: dict[int, int] = {}
 
     def keep(piece, block):
@@ -35,7 +38,7 @@ def prepared_room():
         ids[first : first + len(block), piece] = block
         at[piece.start] = first + len(block)
 
-    ready.gatherer.gather(ready.exits.samples, 64, 5, keep)
+    ready.gatherer.gather(ready.exits.samples, ORACLE_RAYS, 5, keep)
     return ready, ids
 
 
