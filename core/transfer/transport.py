@@ -102,20 +102,12 @@ def make_transport(
             between[rows, cols] = mean * area[cols]
             between[cols, rows] = mean.T * area[rows]
     between = np.ascontiguousarray(between)
-    _balance(between, reach, each * places)
+    _balance(between, reach)
     return Transport(between, sky)
 
 
-def _balance(between: np.ndarray, reach: np.ndarray, rays: int) -> None:
-    """Scale in place, symmetrically, so that row i sums to reach[i]: no light appears or is lost (Sinkhorn).
-
-    reach was counted with `rays` rays: exact where none escapes, noisy in the open. There it is believed only as
-    far as it differs from the row's own sum by much more than that noise (three standard deviations count half).
-    """
-    found = between.sum(axis=1)
-    change = (reach - found) ** 2
-    noise = reach * np.maximum(1 - reach, 0) / rays
-    reach = found + (reach - found) * change / np.maximum(change + 9 * noise, 1e-12)
+def _balance(between: np.ndarray, reach: np.ndarray) -> None:
+    """Scale in place, symmetrically, so that row i sums to reach[i]: no light appears or is lost (Sinkhorn)."""
     scale = np.ones(len(reach), np.float32)
     for _ in range(8):
         found = scale * (between @ scale)
