@@ -24,7 +24,7 @@ bench: venv
 	$(RUN) -m tests.bench $(ONLY)
 
 chart: venv
-	$(RUN) -m lightpanes chart sample_blends/cornell.blend --output out/chart
+	$(RUN) -m lightpanes chart sample_blends/cornell.blend --resolution 128 --output out/chart
 
 samples: venv
 	$(RUN) sample_blends/build.py
