@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..lights import irradiance
-from ..rays import Bvh, Tracer, chunks, in_threads
+from ..rays import Bvh, Tracer, chunks, in_threads, product3
 from ..sampling import cosine_hemisphere, frame, hash_uniform, spiral
 from ..scene import Light, Scene
 from ..surface import SurfaceSamples
@@ -147,7 +147,7 @@ def _point_lamps(position, normal, places, visibility):
     # float32 products of coordinates cancel far from the origin
     middle = position.mean(axis=0)
     local, own = places - middle, position - middle
-    facing = normal @ local.T - np.einsum("nd,nd->n", normal, own)[:, None]
+    facing = product3(normal, local.T) - np.einsum("nd,nd->n", normal, own)[:, None]
     i, j = np.nonzero(facing > 0)
     vectors = places[j] - position[i]
     distance2 = np.maximum(np.einsum("nd,nd->n", vectors, vectors), 1e-12)

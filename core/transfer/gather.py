@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..rays import CHUNK, LAYERS, Bvh, Tracer, Transmission, chunks, in_threads
+from ..rays import CHUNK, LAYERS, Bvh, Tracer, Transmission, chunks, in_threads, product3
 from ..sampling import cosine_hemisphere, frame, hammersley_points, hash_uniform
 from ..scene import Scene
 from ..surface import Patches, SurfaceSamples
@@ -86,7 +86,7 @@ class Gatherer:
             pattern = cosine_hemisphere(hammersley_points(rays, seed + 7919 * (1 + piece.start // CHUNK)))
             for start in range(0, rays, ROWS):
                 block = pattern[start : start + ROWS].astype(np.float32)
-                directions = (block @ turn).reshape(len(block), count, 3)
+                directions = product3(block, turn).reshape(len(block), count, 3)
                 ids = np.empty((len(block), count), np.int32)
                 for row in range(len(block)):
                     ids[row] = self._land(origins, directions[row], flat)

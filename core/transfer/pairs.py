@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..rays import in_threads
+from ..rays import in_threads, product3
 from ..surface import SurfaceSamples
 
 ROWS = 64
@@ -58,8 +58,8 @@ def sample_pairs(
         middling = None
         for number, (position, normal, own, lifted) in enumerate(sets):
             # each pair once: columns from the block's own on
-            leaves = normal[rows] @ position[cols].T - own[rows, None]
-            arrives = position[rows] @ normal[cols].T - own[cols]
+            leaves = product3(normal[rows], position[cols].T) - own[rows, None]
+            arrives = product3(position[rows], normal[cols].T) - own[cols]
             np.maximum(leaves, 0, out=leaves)
             np.maximum(arrives, 0, out=arrives)
             leaves *= arrives
@@ -100,4 +100,4 @@ def sample_pairs(
 
 def _distance2(a, b):
     """(m, n) float32 squared distances."""
-    return (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * (a @ b.T)
+    return (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * product3(a, b.T)
