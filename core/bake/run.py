@@ -17,9 +17,6 @@ from .clock import Clock, Progress
 from .record import Bake
 from .steps import prepare
 
-SMOOTHINGS = 2
-"""Times that the panes are averaged over their neighbours: a blur of two texels for a fifth of the grain."""
-
 
 def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Progress], None] | None = None) -> Bake:
     """Bake how `scene` passes light around.
@@ -40,8 +37,7 @@ def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Pro
 
     clock.start("Exits", len(exits) * budget.exit_rays)
     found = gather_panes(made.gatherer, exits.samples, starts, tables, budget.exit_rays, seed + 41, clock.tick)
-    for _ in range(SMOOTHINGS):
-        found = smooth_panes(found, exits, starts)
+    found = smooth_panes(found, exits, starts)
     k = made.modes.panes
     fill = exits.fill()
     steady, first_hit = np.zeros((len(exits), 3), np.float32), None

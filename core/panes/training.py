@@ -20,6 +20,9 @@ from ..transfer import Gatherer
 NEAR = (0.005, 0.045)
 """Least and most distance of near lamps from the surface below, in parts of the scene's extent."""
 
+SUNS = 12
+"""One training lamp in so many is a sun, where the scene has one."""
+
 
 def free_air(
     points: SurfaceSamples, bvh: Bvh, extent: float, seed: int, near: tuple[float, float] | None = None
@@ -29,18 +32,24 @@ def free_air(
     near: (least, most) distance in m from the surface below; None for anywhere along a cosine ray.
     """
     index = np.arange(len(points))
-    spin = np.stack([hash_uniform(index, 1, seed), hash_uniform(index, 2, seed)], 1)
-    local = cosine_hemisphere(spin).astype(np.float32)
-    tangent, bitangent = frame(points.normal)
-    direction = local[:, :1] * tangent + local[:, 1:2] * bitangent + local[:, 2:] * points.normal
-    origin = np.ascontiguousarray(points.position + points.flat * np.float32(1e-4 * extent))
-    free = np.minimum(bvh.hits(origin, np.ascontiguousarray(direction, np.float32)).distance, 0.5 * extent)
+    origin, direction = _cosine_rays(points, extent, seed, index)
+    free = np.minimum(bvh.hits(origin, direction).distance, 0.5 * extent)
     part = hash_uniform(index, 3, seed)
     if near is None:
         along = free * (0.02 + 0.96 * part)
     else:
-        along = np.minimum(near[0] * (near[1] / near[0]) ** part / np.maximum(local[:, 2], 0.3), 0.9 * free)
+        height = np.einsum("nd,nd->n", direction, points.normal)
+        along = np.minimum(near[0] * (near[1] / near[0]) ** part / np.maximum(height, 0.3), 0.9 * free)
     return (origin + direction * along[:, None]).astype(np.float32)
+
+
+def _cosine_rays(points, extent, seed, index):
+    """Origins and directions (n, 3) float32 of one cosine ray from each point."""
+    local = cosine_hemisphere(np.stack([hash_uniform(index, k, seed) for k in (1, 2)], 1)).astype(np.float32)
+    tangent, bitangent = frame(points.normal)
+    direction = local[:, :1] * tangent + local[:, 1:2] * bitangent + local[:, 2:] * points.normal
+    origin = points.position + points.flat * np.float32(1e-4 * extent)
+    return np.ascontiguousarray(origin, np.float32), np.ascontiguousarray(direction, np.float32)
 
 
 def point_lamps(places: np.ndarray) -> list[Light]:
@@ -53,15 +62,18 @@ def point_lamps(places: np.ndarray) -> list[Light]:
     return lamps
 
 
-def sun_lamps(scene: Scene, count: int, seed: int) -> list[Light]:
-    """Suns all over the sky's upper half, where the scene has a sun; otherwise none."""
-    if not any(light.kind == "SUN" for light in scene.lights):
+def sun_lamps(scene: Scene, points: SurfaceSamples, bvh: Bvh, count: int, seed: int) -> list[Light]:
+    """About `count` suns where the scene has one, in directions from which they reach `points`; otherwise none.
+
+    A window lets in few of all suns, and those are the ones to learn.
+    """
+    if count < 1 or not any(light.kind == "SUN" for light in scene.lights):
         return []
-    index = np.arange(count)
-    height = 0.05 + 0.95 * hash_uniform(index, 4, seed)
-    angle = 2 * np.pi * hash_uniform(index, 5, seed)
-    ring = np.sqrt(1 - height**2)
-    toward = np.stack([ring * np.cos(angle), ring * np.sin(angle), height], 1).astype(np.float32)
+    index = np.arange(64 * count)
+    samples = points.take(np.sort(np.random.default_rng(seed).integers(0, len(points), len(index))))
+    origin, direction = _cosine_rays(samples, scene.extent, seed, index)
+    free = (bvh.hits(origin, direction).triangle < 0) & (direction[:, 2] > 0.03)
+    toward = direction[np.random.default_rng(seed + 1).permutation(np.flatnonzero(free))[:count]]
     lamps = []
     for axis, side, up in zip(toward, *frame(toward), strict=True):
         matrix = np.eye(4)
@@ -76,7 +88,7 @@ def training_lamps(scene: Scene, points: SurfaceSamples, gatherer: Gatherer, cou
     points: places on the entries, from which the air is found.
     """
     extent, bvh = scene.extent, gatherer.bvh
-    suns = sun_lamps(scene, count // 12, seed)
+    suns = sun_lamps(scene, points, bvh, count // SUNS, seed + 23)
     rng = np.random.default_rng(seed)
     places = []
     for share, near in ((1 / 3, None), (2 / 3, (NEAR[0] * extent, NEAR[1] * extent))):

@@ -55,6 +55,15 @@ class Entries:
     def __len__(self) -> int:
         return len(self.patch)
 
+    def span(self) -> np.ndarray:
+        """(n,) float32 m: the side of a square whose places lie as far from its middle as those of the entry.
+
+        For slivers it is far more than √area.
+        """
+        place = self.places.position.reshape(len(self), -1, 3)
+        spread = ((place - place.mean(axis=1, keepdims=True)) ** 2).sum(axis=2).mean(axis=1)
+        return np.sqrt(6 * spread).astype(np.float32)
+
 
 def _places(scene: Scene, patches: Patches, patch: np.ndarray, back: np.ndarray, seed: int) -> SurfaceSamples:
     """A random place on each of `patch` (n,), on its reverse where `back` (n,) is set."""

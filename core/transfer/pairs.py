@@ -32,7 +32,7 @@ def far_pairs(position: np.ndarray, size: np.ndarray, rows: slice, cols: slice, 
 
 def sample_pairs(
     samples: list[SurfaceSamples],
-    area: np.ndarray,
+    size: np.ndarray,
     offset: float,
     visible: Callable[[np.ndarray, np.ndarray], np.ndarray],
     tick: Callable[[int], None] | None = None,
@@ -42,9 +42,8 @@ def sample_pairs(
     samples: one place on each entry, an independent set for each sample; pairs that are VERY_FAR take the first
     only. visible(origins, vectors): float32 in [0, 1] over open segments. Near pairs hold no useful value.
     """
-    count = len(area)
+    count = len(size)
     result = np.zeros((count, count), np.float32)
-    size = np.sqrt(area).astype(np.float32)
     # float32 products of coordinates cancel far from the origin
     middle = samples[0].position.mean(axis=0)
     sets = []

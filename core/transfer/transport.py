@@ -14,12 +14,15 @@ import numpy as np
 from ..rays import CHUNK, Bvh
 from ..scene import Scene
 from ..surface import Patches
-from .entries import PLACES, Entries
+from .entries import MAX_ALBEDO, PLACES, Entries
 from .gather import Gatherer
 from .pairs import far_pairs, sample_pairs
 
-PAIR_SAMPLES = 3
+PAIR_SAMPLES = 2
 """Rays between each pair of entries at middling distance."""
+
+PAIR_ERROR = 0.005
+"""Relative error of a row's sum over sampled pairs."""
 
 
 @dataclass(frozen=True)
@@ -86,9 +89,9 @@ def make_transport(
     # what the hemisphere's rays say about the sum over all entries is exact where no ray escapes
     reach = between.sum(axis=1)
     samples = [points.take(np.arange(count) * places + k) for k in range(PAIR_SAMPLES)]
-    terms = sample_pairs(samples, entries.area, gatherer.offset, gatherer.visible, tick)
+    terms = sample_pairs(samples, entries.span(), gatherer.offset, gatherer.visible, tick)
     area = entries.area.astype(np.float32)
-    size = np.sqrt(area)
+    size = entries.span()
     middle = entries.position - entries.position.mean(axis=0)
     for start in range(0, count, 512):
         # block by block of the upper triangle, in place: a second full matrix would double the memory
@@ -102,20 +105,33 @@ def make_transport(
             between[rows, cols] = mean * area[cols]
             between[cols, rows] = mean.T * area[rows]
     between = np.ascontiguousarray(between)
-    _balance(between, reach)
+    _balance(between, reach, each * places)
     return Transport(between, sky)
 
 
-def _balance(between: np.ndarray, reach: np.ndarray) -> None:
-    """Scale in place, symmetrically, so that row i sums to reach[i]: no light appears or is lost (Sinkhorn)."""
+def _balance(between: np.ndarray, reach: np.ndarray, rays: int) -> None:
+    """Scale in place, symmetrically, so that rows sum to what their rays say: no light appears or is lost (Sinkhorn).
+
+    reach: (n,) part of each entry's `rays` that landed on entries. It is exact where none escaped; elsewhere it and
+    the sum of the pairs are two estimates, weighted by their certainty.
+    """
+    found = between.sum(axis=1)
+    # the rays are stratified: about a quarter of the binomial variance
+    of_rays = reach * (1 - reach) / (4 * rays)
+    of_pairs = np.square(PAIR_ERROR * found)
+    target = np.where(found > 0, (reach * of_pairs + found * of_rays) / np.maximum(of_pairs + of_rays, 1e-30), reach)
+    target = np.minimum(target, 1).astype(np.float32)
     scale = np.ones(len(reach), np.float32)
     for _ in range(8):
         found = scale * (between @ scale)
-        scale *= np.sqrt(np.where(found > 0, reach / np.maximum(found, 1e-20), 1))
+        scale *= np.sqrt(np.where(found > 0, target / np.maximum(found, 1e-20), 1))
     # a row that all but nothing reaches must not be blown up
     np.clip(scale, 0.7, 1.4, out=scale)
     between *= scale[:, None]
     between *= scale
+    # what could not be balanced may at least not multiply light: the solve would diverge
+    over = np.flatnonzero(between.sum(axis=1) > 1 / MAX_ALBEDO)
+    between[over] /= between[over].sum(axis=1, keepdims=True)
 
 
 def make_gatherer(
