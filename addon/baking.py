@@ -38,6 +38,7 @@ def bake_scene(context: bpy.types.Context, progress: Callable[[Progress], None] 
         result = bake(surfaces, settings, lambda p: progress(Progress(p.stage, 0.05 + 0.93 * p.fraction, p.rays)))
         report = result.meta.setdefault("report", {})
         report["warnings"] = warnings + [w for w in report.get("warnings", []) if w not in warnings]
+        result.meta["static"] = {lamp.name: relight.lamp_key([lamp]) for lamp in surfaces.lights if not lamp.live}
         store.store_bake(scene, result, surfaces.albedo_map)
     with relight.paused():
         relight.adopt(scene, Relighter(result.panes(), Tracer(surfaces)))

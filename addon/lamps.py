@@ -126,7 +126,10 @@ def _read(obj, matrix, scene, warnings, name) -> Light | None:
         settings.update(shape=data.shape, size=(float(width), float(height)), spread=data.spread)
         if not data.normalize:
             power = power * width * height * (math.pi / 4 if data.shape in {"DISK", "ELLIPSE"} else 1)
-    return Light(name, data.type, frame, power, casts_shadow=data.use_shadow, **settings)
+    # without the add-on registered there is no setting, and every lamp is live
+    mine = getattr(data.original, "lightpanes", None)
+    live = mine is None or mine.live
+    return Light(name, data.type, frame, power, casts_shadow=data.use_shadow, live=live, **settings)
 
 
 def _even(ratio: float) -> float:

@@ -63,7 +63,7 @@ class LIGHTPANES_OT_bake(bpy.types.Operator):
 class LIGHTPANES_OT_relight(bpy.types.Operator):
     bl_idname = "lightpanes.relight"
     bl_label = "Relight"
-    bl_description = "Bring the baked light up to date with all lamps, those that are not live included"
+    bl_description = "Bring the baked light up to date with all live lamps"
     bl_options = {"REGISTER", "UNDO"}
 
     def execute(self, context):

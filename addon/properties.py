@@ -84,7 +84,8 @@ class ObjectSettings(bpy.types.PropertyGroup):
 class LightSettings(bpy.types.PropertyGroup):
     live: BoolProperty(
         name="Live",
-        description="Follow this lamp at once. Off: its light stays as it was until Relight is pressed",
+        description="Follow this lamp after the bake. Off: its light is baked in, which is faster and more exact, and "
+        "changes with the next bake only",
         default=True,
     )
 

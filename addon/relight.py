@@ -9,8 +9,9 @@ from __future__ import annotations
 import hashlib
 import threading
 import time
+from collections.abc import Iterable
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import bpy
 from bpy.app.handlers import persistent
@@ -30,6 +31,8 @@ class Session:
     relighter: Relighter | None = None
     shown: str = ""  # key of the lamps that the image shows
     last: dict[str, Light] = field(default_factory=dict)  # the lamps that the image shows, by name
+    static: dict[str, str] = field(default_factory=dict)  # keys of the lamps that are baked in, by name
+    panes: bool = True  # whether the bake holds any
     stale: tuple[str, ...] = ()
     milliseconds: float = 0.0
     error: str = ""
@@ -55,8 +58,14 @@ def session(scene: bpy.types.Scene) -> Session | None:
     if found is None or found.key != key:
         image = store.find_image(scene, store.IRRADIANCE)
         packed = image is not None and not image.is_dirty and image.get(PACKED)
-        found = _sessions[scene.session_uid] = Session(key, shown=packed or "")
+        found = _sessions[scene.session_uid] = _begin(scene, key, shown=packed or "")
     return found
+
+
+def _begin(scene, key, **more) -> Session:
+    meta = store.read_meta(scene) or {}
+    panes = "panes" not in meta.get("report", {}).get("skipped", {})
+    return Session(key, static=meta.get("static", {}), panes=panes, **more)
 
 
 def forget(scene: bpy.types.Scene) -> None:
@@ -65,7 +74,7 @@ def forget(scene: bpy.types.Scene) -> None:
 
 def adopt(scene: bpy.types.Scene, relighter: Relighter) -> None:
     """Use this relighter, just made by a bake, instead of making one from the .blend."""
-    _sessions[scene.session_uid] = Session(store.bake_key(scene), relighter)
+    _sessions[scene.session_uid] = _begin(scene, store.bake_key(scene), relighter=relighter)
 
 
 @contextmanager
@@ -78,7 +87,7 @@ def paused():
 def relight(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph | None = None) -> float:
     """Bring the scene's `Lightpanes Irradiance` up to date with its lamps; returns milliseconds.
 
-    All lamps are read anew, those that are not live included. Raises SceneError when there is no bake or when it
+    All lamps are read anew, those that stopped being live after the bake included. Raises SceneError when there is no bake or when it
     can't be used.
     """
     scene = context.scene
@@ -104,7 +113,7 @@ def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
         if current is None:
             return False
         lights = _read_lights(depsgraph, current)
-        key = _key(lights)
+        key = lamp_key(lights)
         if key == current.shown:
             return False
         try:
@@ -121,13 +130,32 @@ def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
 
 
 def check_stale(context: bpy.types.Context) -> tuple[str, ...]:
-    """Sentences that name the objects which changed since the bake; empty while it is valid."""
+    """Sentences that name the objects and baked-in lamps which changed since the bake; empty while it is valid."""
     scene = context.scene
     current, meta = session(scene), store.read_meta(scene)
     if current is None or meta is None or "fingerprint" not in meta:
         return ()
-    current.stale = differences(meta["fingerprint"], extract.fingerprint(context))
+    shining = lamps.read_lights(context.evaluated_depsgraph_get(), [])
+    current.stale = differences(meta["fingerprint"], extract.fingerprint(context)) + _lamp_changes(current, shining)
     return current.stale
+
+
+def _lamp_changes(current: Session, shining) -> tuple[str, ...]:
+    """What to tell the user about lamps that the bake holds, and those that it cannot show."""
+    now = {light.name: light for light in shining}
+    told = []
+    for name, key in current.static.items():
+        if name not in now:
+            told.append(f"Lamp '{name}' is baked in, and was deleted, hidden or switched off since; bake again.")
+        elif lamp_key([now[name]]) != key:
+            told.append(f"Lamp '{name}' is baked in, and was changed since; bake again.")
+        elif now[name].live:
+            told.append(f"Lamp '{name}' is baked in; bake again to make it live.")
+    if not current.panes:
+        others = [f"'{name}'" for name in now if name not in current.static]
+        if others:
+            told.append(f"This bake has no live lamp, so it cannot show {', '.join(others)}; bake again.")
+    return tuple(told)
 
 
 def differences(before: dict[str, str], now: dict[str, str]) -> tuple[str, ...]:
@@ -142,15 +170,15 @@ def differences(before: dict[str, str], now: dict[str, str]) -> tuple[str, ...]:
 
 
 def _read_lights(depsgraph, current: Session, rendering: bool = False) -> tuple[Light, ...]:
-    """The lamps that a render or a viewport shows; those that are not live as they were when last shown."""
+    """The lamps that a render or a viewport shows; those that are not live as they were when last shown, and those
+    that are baked in not at all."""
     scene = depsgraph.scene.original
     hidden = set() if rendering or not _is_viewport(depsgraph) else _hidden_lamps(scene, depsgraph.view_layer.name)
     lights = []
     for light in lamps.read_lights(depsgraph, []):
-        source = scene.objects.get(light.name)
-        held = source is not None and source.type == "LIGHT" and not source.data.lightpanes.live
-        if light.name not in hidden:
-            lights.append(current.last.get(light.name, light) if held else light)
+        if light.name not in hidden and light.name not in current.static:
+            shown = replace(light, live=True)
+            lights.append(shown if light.live else current.last.get(light.name, shown))
     return tuple(lights)
 
 
@@ -164,7 +192,8 @@ def _hidden_lamps(scene, view_layer: str) -> set[str]:
     return {item.name for item in scene.objects if item.type == "LIGHT" and not item.visible_get(view_layer=layer)}
 
 
-def _key(lights) -> str:
+def lamp_key(lights: Iterable[Light]) -> str:
+    """Of all that decides the lamps' light, their names included."""
     digest = hashlib.blake2b(digest_size=12)
     for light in lights:
         digest.update(repr((light.name, light.geometry, light.power.tobytes())).encode())
@@ -176,7 +205,7 @@ def _apply(context, scene, current: Session, lights):
     begin = time.perf_counter()
     store.write_irradiance(scene, relighter.relight(lights))
     current.milliseconds = 1000 * (time.perf_counter() - begin)
-    current.shown = _key(lights)
+    current.shown = lamp_key(lights)
     current.last = {light.name: light for light in lights}
     current.error = ""
 
@@ -196,22 +225,27 @@ def _relighter(context, scene, current: Session) -> Relighter:
 def _on_update(scene, depsgraph):
     if store.bake_key(scene) is None:
         return
-    edited = any(
-        isinstance(change.id, bpy.types.Object)
-        and change.id.type != "LIGHT"
-        and (change.is_updated_geometry or change.is_updated_transform)
-        for change in depsgraph.updates
-    )
     if bpy.app.background:
         update(scene, depsgraph)
         return
     # One relight for all that happens before Blender is idle again.
     if not bpy.app.timers.is_registered(_update_later):
         bpy.app.timers.register(_update_later, first_interval=0.0)
-    if edited:
+    if any(_may_stale(session(scene), change) for change in depsgraph.updates):
         if bpy.app.timers.is_registered(_stale_later):
             bpy.app.timers.unregister(_stale_later)
         bpy.app.timers.register(_stale_later, first_interval=STALE_DELAY)
+
+
+def _may_stale(current: Session, change) -> bool:
+    """Whether a change can make the bake stale: to an object's shape or place, or to a lamp that is baked in."""
+    lamp = isinstance(change.id, bpy.types.Light) or (
+        isinstance(change.id, bpy.types.Object) and change.id.type == "LIGHT"
+    )
+    if lamp:
+        return bool(current.static) or not current.panes
+    edited = change.is_updated_geometry or change.is_updated_transform
+    return isinstance(change.id, bpy.types.Object) and edited
 
 
 def _update_later():
@@ -251,7 +285,7 @@ def _on_render(scene, *_):
             return
         try:
             lights = _read_lights(bpy.context.evaluated_depsgraph_get(), current, rendering=True)
-            if _key(lights) != current.shown:
+            if lamp_key(lights) != current.shown:
                 _apply(bpy.context, scene, current, lights)
         except (SceneError, BakeError) as error:
             current.error = str(error)

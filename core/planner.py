@@ -59,12 +59,14 @@ class Budget:
 def plan(scene: Scene, settings: Settings) -> Budget:
     """Budgets for an error target, scaled from those measured at 0.05.
 
-    The error of the entries' size falls with their number, that of the gather with the root of the rays.
+    The error of the entries' size falls with their number, that of the gather with the root of the rays. Where no lamp
+    is live the first bounce is known more finely than by entries, so fewer do.
     """
     finer = 0.05 / settings.error_target
+    live = needs_panes(scene)
     budget = Budget(
-        entries=_clamp(4400 * finer**0.6, 800, 10_000),
-        entry_rays=_clamp(512 * finer, 256, 4096),
+        entries=_clamp((4400 if live else 3000) * finer**0.6, 800, 10_000),
+        entry_rays=_clamp((512 if live else 256) * finer, 256, 4096),
         exit_rays=_clamp(192 * finer, 32, 2048),
         regions=_clamp(192 * finer**0.3, 48, 256),
         panes=16 if finer <= 2 else 24,
@@ -72,6 +74,11 @@ def plan(scene: Scene, settings: Settings) -> Budget:
     )
     given = {name: value for name in Budget.__dataclass_fields__ if (value := getattr(settings, name)) is not None}
     return replace(budget, **given)
+
+
+def needs_panes(scene: Scene) -> bool:
+    """Whether any lamp may change. A scene without lamps gets panes for those that may come."""
+    return not scene.lights or any(light.live for light in scene.lights)
 
 
 def limit_rays(budget: Budget, exits: int, rate: float, left: float) -> Budget:

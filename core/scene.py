@@ -67,6 +67,8 @@ class Light:
         shape "DISK" means Blender's soft falloff (a disk that faces the receiver), any other a sphere; for a SPOT,
         size is its X and Y scale over Z, (1, 1) for a round cone.
     casts_shadow: whether anything blocks it.
+    live: whether it may change after the bake. A lamp that is not belongs to the light that the bake holds, like the
+        sky; it costs no panes, and relighting leaves it alone.
     """
 
     name: str
@@ -81,6 +83,7 @@ class Light:
     size: tuple[float, float] = (1.0, 1.0)
     spread: float = np.pi
     casts_shadow: bool = True
+    live: bool = True
 
     def __post_init__(self):
         if self.kind not in LIGHT_KINDS:

@@ -10,8 +10,8 @@ from ..panes.weights import PaneWeights
 from ..surface import SurfaceSamples
 from ..transfer import Entries, Gatherer, Transport
 
-PROBES = 8
-"""Exits of each region, at most, that are gathered twice to measure the noise."""
+PROBES = 1536
+"""Exits, about, that are gathered twice to measure the noise; as many from each region."""
 
 
 def compression_error(
@@ -43,26 +43,31 @@ def gather_noise(
     rays: int,
     seed: int,
     weights: PaneWeights,
-    direct: np.ndarray,
+    direct: np.ndarray | None,
 ) -> float:
     """Relative RMSE on 4×4-texel blocks that the gather's noise leaves, from exits gathered twice.
 
-    A block averages 16 texels whose noise is independent.
+    direct: (n, s) irradiance of lamps at the entries; without it the light that no lamp changes is judged. A block
+    averages 16 texels whose noise is independent.
     """
     rows, lengths = [], []
+    probes = max(PROBES // (len(starts) - 1), 1)
     for r in range(len(starts) - 1):
         count = int(starts[r + 1] - starts[r])
-        chosen = starts[r] + np.unique(np.linspace(0, max(count - 1, 0), min(count, PROBES)).astype(np.int64))[:count]
+        chosen = starts[r] + np.unique(np.linspace(0, max(count - 1, 0), min(count, probes)).astype(np.int64))[:count]
         rows.append(chosen)
         lengths.append(len(chosen))
     rows = np.concatenate(rows)
     some = exits.take(rows)
     ends = np.concatenate([[0], np.cumsum(lengths)])
     k = weights.first.shape[0] // (len(starts) - 1)
-    twice = [gather_panes(gatherer, some, ends, tables, rays, seed + salt)[:, :k] for salt in (71, 72)]
-    region = np.repeat(np.arange(len(lengths)), lengths)
-    value = weights.of(np.repeat(direct.mean(axis=1, keepdims=True), 3, axis=1)).reshape(-1, k, 3)[region]
-    first, second = (np.einsum("nk,nkc->nc", t, value) for t in twice)
+    twice = [gather_panes(gatherer, some, ends, tables, rays, seed + salt) for salt in (71, 72)]
+    if direct is None:
+        first, second = (t[:, k : k + 3] for t in twice)
+    else:
+        region = np.repeat(np.arange(len(lengths)), lengths)
+        value = weights.of(np.repeat(direct.mean(axis=1, keepdims=True), 3, axis=1)).reshape(-1, k, 3)[region]
+        first, second = (np.einsum("nk,nkc->nc", t[:, :k], value) for t in twice)
     mean = 0.5 * float((first + second).mean())
     if mean <= 0:
         return 0.0

@@ -6,21 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..lights import sky_radiance
+from ..panes.entry_light import EntrySurface
 from ..panes.modes import Modes, learn_modes, training_fields
 from ..panes.regions import features, make_regions, nearest, split_regions
 from ..panes.training import illuminate, training_lamps
 from ..panes.weights import PaneWeights, make_weights
-from ..planner import Budget, Settings, plan
+from ..planner import Budget, Settings, needs_panes, plan
 from ..rays import Bvh, Tracer
 from ..scene import Scene
 from ..surface import Patches, SurfaceSamples, Texels, make_patches, make_texels
-from ..transfer import Entries, Gatherer, Transport, find_entries, make_gatherer, make_transport
+from ..transfer import Entries, Gatherer, Transport, find_entries, make_gatherer, make_piece_gatherer, make_transport
 from ..transfer.entries import MAX_ALBEDO, PLACES
 from .clock import Clock
-
-SKY_BINS = (32, 64)
-"""Bins of a sky that is not uniform: rows of equal solid angle, columns."""
+from .steady import piece_excess, sky_bins, static_light, steady_light
 
 TEST_LAMPS = 24
 """Held-out lamps that measure the panes' error at the end of a bake."""
@@ -32,8 +30,8 @@ class Prepared:
 
     exits: valid texels, sorted by region; starts: (regions + 1,) where each region's exits begin. buried: how
     many texels lie inside solid things. tables: (regions, ids, c) what a ray that lands on an id brings: the
-    region's modes, then, where the scene has light that no lamp changes, its bounces (3) and its first hit (3).
-    test_direct: (n, TEST_LAMPS) irradiance of held-out lamps.
+    region's modes, then, where the scene has light that no live lamp changes, its bounces (3) and, where sky or faces
+    shine, their first hit (3). test_direct: (n, TEST_LAMPS) irradiance of held-out lamps, None where no lamp is live.
     """
 
     scene: Scene
@@ -50,13 +48,17 @@ class Prepared:
     exits: Texels
     starts: np.ndarray
     tables: np.ndarray
-    test_direct: np.ndarray
+    test_direct: np.ndarray | None
     buried: int
     warnings: list[str]
 
     @property
     def has_steady_light(self) -> bool:
         return self.tables.shape[2] > self.modes.panes
+
+    @property
+    def has_first_hit(self) -> bool:
+        return self.tables.shape[2] > self.modes.panes + 3
 
 
 def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Prepared:
@@ -79,42 +81,59 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
         warnings.append("Every texel lies inside a closed object; put a lamp inside the room, or flip its normals.")
     texels = texels.keep(~buried)
     warnings += _too_white(scene, patches)
-    sky, bins = scene.sky, (1, 1)
-    if sky is not None and sky.radiance.shape[:2] != (1, 1):
-        bins = SKY_BINS
+    bins = sky_bins(scene.sky)
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
 
     clock.start("Transport", len(entries) * budget.entry_rays)
     transport = make_transport(entries, gatherer, budget.entry_rays, seed, clock.tick)
 
     places = entries.places
-    lamps = training_lamps(scene, places, gatherer, budget.lamps, seed + 6)
-    clock.start("Lamps", len(lamps))
-    direct = illuminate(lamps, places, PLACES, tracer, seed, lambda done: clock.tick(done, done * len(entries)))
-    # three at a time stand for red, green and blue
-    test = training_lamps(scene, places, gatherer, TEST_LAMPS + 3, seed + 1006)
-    test = test[len(test) % 3 :]
-    test_direct = illuminate(test, places, PLACES, tracer, seed + 1000)
-
-    clock.start("Panes", 4)
-    radiosity, field = training_fields(entries, transport, direct)
-    clock.tick(1, 0)
     points = features(entries.position, entries.normal, scene.extent)
-    region = make_regions(points, entries.area, max(budget.regions // 4, 1), seed)
-    region = split_regions(region, points, entries.area, field[:, ::2], budget.regions, budget.panes)
-    modes = learn_modes(entries, region, radiosity, field, budget.panes)
-    clock.tick(1, 0)
-    weights = make_weights(entries, transport, modes, direct[:, ::8])
-    clock.tick(1, 0)
-    steady, shine = _steady_light(sky, bins, entries, transport)
-    own = _own_region(texels.samples, bvh, entries, patches, region, points, scene.extent, tracer.offset)
+    if needs_panes(scene):
+        lamps = training_lamps(scene, places, gatherer, budget.lamps, seed + 6)
+        clock.start("Lamps", len(lamps))
+        direct = illuminate(lamps, places, PLACES, tracer, seed, lambda done: clock.tick(done, done * len(entries)))
+        # three at a time stand for red, green and blue
+        test = training_lamps(scene, places, gatherer, TEST_LAMPS + 3, seed + 1006)
+        test = test[len(test) % 3 :]
+        test_direct = illuminate(test, places, PLACES, tracer, seed + 1000)
+
+        clock.start("Panes", 4)
+        radiosity, field = training_fields(entries, transport, direct)
+        clock.tick(1, 0)
+        region = make_regions(points, entries.area, max(budget.regions // 4, 1), seed)
+        region = split_regions(region, points, entries.area, field[:, ::2], budget.regions, budget.panes)
+        modes = learn_modes(entries, region, radiosity, field, budget.panes)
+        clock.tick(1, 0)
+        weights = make_weights(entries, transport, modes, direct[:, ::8])
+        clock.tick(1, 0)
+    else:
+        modes, weights, test_direct = *no_panes(entries), None
+    static = static_light(scene, EntrySurface.of(entries, patches, places, tracer.offset), tracer, seed)
+    steady, shine = steady_light(scene.sky, bins, entries, transport, static)
+    own = _own_region(texels.samples, bvh, entries, patches, modes.region, points, scene.extent, tracer.offset)
     exits = texels.keep(np.lexsort((texels.index, own)))
     starts = np.concatenate([[0], np.cumsum(np.bincount(own, minlength=modes.regions))])
     tables = _tables(modes, steady, shine, gatherer.size)
+    if test_direct is None:
+        # without panes there is room for a row for every piece of every entry
+        gatherer, owner = make_piece_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
+        tables = tables[:, np.append(owner, np.arange(len(entries), tables.shape[1]))]
+        tables[0, : len(owner), 1:4] += piece_excess(scene, patches, entries, owner, static, tracer, seed)
     return Prepared(
         scene, budget, patches, bvh, tracer, entries, gatherer, transport, places, modes, weights,
         exits, starts, tables, test_direct, int(buried.sum()), warnings,
     )  # fmt: skip
+
+
+def no_panes(entries: Entries) -> tuple[Modes, PaneWeights]:
+    """One region with one black pane: for scenes in which no lamp may change."""
+    count = len(entries)
+    nothing = np.zeros((count, 1), np.float32)
+    region = np.zeros(count, np.int32)
+    modes = Modes(region, 1, 1, nothing, nothing, nothing)
+    small = np.zeros((3, 1, 1), np.float32)
+    return modes, PaneWeights(nothing.T.copy(), small[0], small, region, nothing, entries.albedo)
 
 
 def _too_white(scene, patches):
@@ -127,48 +146,15 @@ def _too_white(scene, patches):
     return [f"Albedo above {MAX_ALBEDO} is lowered to {MAX_ALBEDO} (the light would never fade): {names}."]
 
 
-def _steady_light(sky, bins, entries, transport):
-    """Light that no lamp changes: radiosity beyond what is emitted (n, 3), and what shines (ids, 3), or None."""
-    emitted = entries.radiosity
-    if (sky is None or sky.is_black) and not emitted.any():
-        return None, None
-    count = len(entries)
-    from_sky = np.zeros((transport.sky.shape[1], 3), np.float32)
-    if sky is not None:
-        from_sky = np.float32(np.pi) * _bin_radiance(sky, bins)
-    source = emitted + entries.albedo * (transport.sky @ from_sky)
-    radiosity = np.stack(
-        [transport.solve(entries.albedo[:, c : c + 1], source[:, c : c + 1])[:, 0] for c in range(3)], 1
-    )
-    shine = np.zeros((count + 1 + len(from_sky), 3), np.float32)
-    shine[:count] = emitted
-    shine[count + 1 :] = from_sky
-    return radiosity - emitted, shine
-
-
-def _bin_radiance(sky, bins):
-    """(bins, 3) float32 mean radiance of each of the sky's bins."""
-    if bins == (1, 1):
-        return sky.radiance.reshape(-1, 3).mean(axis=0, keepdims=True)
-    fine = 8
-    rows, columns = bins
-    z = (np.arange(rows * fine, dtype=np.float32) + 0.5) * np.float32(2 / (rows * fine)) - 1
-    around = np.float32(2 * np.pi) * (0.5 - (np.arange(columns * fine, dtype=np.float32) + 0.5) / (columns * fine))
-    z, around = np.meshgrid(z, around, indexing="ij")
-    ring = np.sqrt(1 - z * z)
-    directions = np.stack([ring * np.cos(around), ring * np.sin(around), z], -1).reshape(-1, 3)
-    radiance = sky_radiance(sky, directions.astype(np.float32))
-    return radiance.reshape(rows, fine, columns, fine, 3).mean(axis=(1, 3)).reshape(-1, 3)
-
-
 def _tables(modes, steady, shine, ids):
     """(regions, ids, c): what a ray that lands on an id brings: the region's modes, then the steady shares."""
     count, k = len(modes.basis), modes.panes
-    extra = 0 if steady is None else 6
+    extra = 0 if steady is None else 3 if shine is None else 6
     tables = np.zeros((modes.regions, ids, k + extra), np.float32)
     tables[:, :count, :k] = modes.makers.reshape(count, modes.regions, k).swapaxes(0, 1)
-    if extra:
+    if steady is not None:
         tables[:, :count, k : k + 3] = steady
+    if shine is not None:
         tables[:, :, k + 3 :] = shine
     return tables
 

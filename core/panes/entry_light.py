@@ -62,9 +62,12 @@ class EntrySurface:
 
 class EntryLight:
     """Evaluates lamps at the entries: few places on each, more where the lamp is near, and there the exact solid
-    angle of the entry in place of an average over places, whose noise would otherwise be a wrong brightness."""
+    angle of the entry in place of an average over places, whose noise would otherwise be a wrong brightness.
 
-    def __init__(self, surface: EntrySurface, tracer: Tracer, seed: int = 0):
+    few: places of each entry that see a lamp which is not near.
+    """
+
+    def __init__(self, surface: EntrySurface, tracer: Tracer, seed: int = 0, few: int = FEW):
         self.surface = surface
         self.tracer = tracer
         self.seed = seed
@@ -72,8 +75,8 @@ class EntryLight:
         self.each = len(surface.position) // max(count, 1)
         self._position = surface.position.reshape(count, self.each, 3)
         self._normal = surface.normal.reshape(count, self.each, 3)
-        self.few = min(FEW, self.each)
-        pick = _balanced_pair(self._position) if self.few == FEW else np.zeros((count, self.few), np.int64)
+        self.few = min(few, self.each)
+        pick = _balanced_pair(self._position) if self.few == 2 else np.tile(np.arange(self.few), (count, 1))
         # place-major: the first block is one place on every entry
         self._few = tuple(v[np.arange(count), pick.T].reshape(-1, 3) for v in (self._position, self._normal))
         self._first_piece = np.cumsum(surface.counts) - surface.counts

@@ -21,7 +21,8 @@ class Panes:
     """All that relighting reads.
 
     rows: (t, k) float32 panes at the valid texels, sorted by region. starts: (regions + 1,) int.
-    steady: (t, 3) float32 irradiance that no lamp changes (bounces of the sky and of emissive faces), W/m².
+    steady: (t, 3) float32 irradiance that no live lamp changes (bounces of the sky, of emissive faces and of lamps
+    that are not live), W/m².
     fill: (resolution²,) int32 row that each texel of the atlas shows, −1 for none.
     surface, weights: see EntrySurface and PaneWeights.
     """
@@ -59,9 +60,11 @@ class Relighter:
             self._steady[flat + c * BLOCK] = panes.steady[:, c]
 
     def pane_weights(self, lights: Sequence[Light]) -> np.ndarray:
-        """(m, 3) float32 sum of all lamps' weights; lamps seen before in the same place cost nothing."""
+        """(m, 3) float32 sum of all live lamps' weights; lamps seen before in the same place cost nothing."""
         unit, weights = {}, {}
         for light in lights:
+            if not light.live:
+                continue
             place = light.geometry
             key = (place, light.power.tobytes())
             if key in weights:

@@ -2,6 +2,6 @@
 
 from .entries import Entries, find_entries
 from .gather import Gatherer
-from .transport import Transport, make_gatherer, make_transport
+from .transport import Transport, make_gatherer, make_piece_gatherer, make_transport
 
-__all__ = ["Entries", "Gatherer", "Transport", "find_entries", "make_gatherer", "make_transport"]
+__all__ = ["Entries", "Gatherer", "Transport", "find_entries", "make_gatherer", "make_piece_gatherer", "make_transport"]

@@ -141,8 +141,26 @@ def make_gatherer(
 
     A side that no path needs shares its other side's entry.
     """
+    front, back, bare = _sides(patches, entries)
+    return Gatherer(scene, patches, bvh, front, back, len(entries) + 1, bins, offset, bare)
+
+
+def make_piece_gatherer(
+    scene: Scene, patches: Patches, entries: Entries, bvh: Bvh, offset: float, bins: tuple[int, int] = (1, 1)
+) -> tuple[Gatherer, np.ndarray]:
+    """Rays that name sides of pieces: 2k and 2k + 1 of piece k, then a dead end and the sky as in `make_gatherer`.
+
+    Also (2 × pieces,) int32 the entry of each side, n for none.
+    """
+    front, back, bare = _sides(patches, entries)
+    piece = 2 * np.arange(len(front), dtype=np.int32)
+    gatherer = Gatherer(scene, patches, bvh, piece, piece + (front != back), 2 * len(front) + 1, bins, offset, bare)
+    return gatherer, np.stack([front, back], 1).reshape(-1)
+
+
+def _sides(patches, entries):
+    """Entry of each piece's front and back, and which of them are bare of one."""
     front, back = entries.front_id[patches.patch], entries.back_id[patches.patch]
     none = len(entries)
     bare = front == none, back == none
-    front, back = np.where(bare[0], back, front), np.where(bare[1], front, back)
-    return Gatherer(scene, patches, bvh, front, back, none + 1, bins, offset, bare)
+    return np.where(bare[0], back, front), np.where(bare[1], front, back), bare
