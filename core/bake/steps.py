@@ -103,7 +103,7 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
         clock.tick(1, 0)
         region = make_regions(points, entries.area, max(budget.regions // 4, 1), seed)
         region = split_regions(region, points, entries.area, field[:, ::2], budget.regions, budget.panes)
-        modes = learn_modes(entries, region, radiosity, field, budget.panes)
+        modes = learn_modes(entries, transport, region, radiosity, field, budget.panes)
         clock.tick(1, 0)
         weights = make_weights(entries, transport, modes, direct[:, ::8])
         clock.tick(1, 0)

@@ -17,6 +17,10 @@ FLOOR = 1e-5
 """Singular values below this part of a region's largest are noise, not light."""
 
 
+SPOT = 0.01
+"""Weight, beside a training lamp's field of mean 1, of a lamp so near to an entry that it lights no other."""
+
+
 @dataclass(frozen=True)
 class Modes:
     """The panes' modes as seen from the entries; modes of region r are columns r·k … r·k + k − 1.
@@ -65,14 +69,24 @@ def training_fields(
     return radiosity[:, lit] * scale, field[:, lit] * scale
 
 
-def learn_modes(entries: Entries, region: np.ndarray, radiosity: np.ndarray, field: np.ndarray, panes: int) -> Modes:
-    """The leading `panes` modes of each region's part of the fields (n, s)."""
+def learn_modes(
+    entries: Entries, transport: Transport, region: np.ndarray, radiosity: np.ndarray, field: np.ndarray, panes: int
+) -> Modes:
+    """The leading `panes` modes of each region's part of the fields (n, s).
+
+    Few training lamps stand near any one place, so what only they would show is learnt from the transport itself:
+    the field of every single entry counts as well, a little.
+    """
     regions = int(region.max()) + 1
     root = np.sqrt(entries.area / entries.area.mean()).astype(np.float32)[:, None]
     basis = np.zeros((len(region), panes), np.float32)
     dual = np.zeros_like(basis)
     flux = root[:, 0] * entries.albedo.mean(axis=1)
     mixes = np.zeros((field.shape[1], regions * panes), np.float32)
+    makers = np.empty((len(region), regions * panes), np.float32)
+    reach = (entries.area / entries.area.sum()).astype(np.float32) @ transport.between
+    # what reaches all but nothing would need to be blinding
+    glow = np.where(reach > 0.1 * reach.mean(), SPOT / np.maximum(reach, 1e-30), 0).astype(np.float32)
     order = np.argsort(region, kind="stable")
     ends = np.cumsum(np.bincount(region, minlength=regions))
     # one small eigenproblem a region: a loop over regions, not over entries
@@ -80,15 +94,20 @@ def learn_modes(entries: Entries, region: np.ndarray, radiosity: np.ndarray, fie
         rows = order[ends[r - 1] if r else 0 : ends[r]]
         block = root[rows] * field[rows]
         # float64: the Gram matrix squares the range of the singular values
-        values, vectors = np.linalg.eigh((block @ block.T).astype(np.float64))
+        spots = root[rows] * transport.between[rows] * glow
+        values, vectors = np.linalg.eigh((block @ block.T + spots @ spots.T).astype(np.float64))
         keep = min(panes, len(rows))
         values, vectors = values[::-1][:keep], vectors[:, ::-1][:, :keep]
         good = values > FLOOR**2 * values[0]
         values, vectors = values[good], vectors[:, good].astype(np.float32)
         basis[rows[:, None], np.arange(len(values))] = vectors
         dual[rows[:, None], np.arange(len(values))] = _keep_flux(vectors, flux[rows])
-        mixes[:, r * panes : r * panes + len(values)] = block.T @ (vectors / values.astype(np.float32))
-    return Modes(region, panes, regions, basis, dual, radiosity @ mixes)
+        inverse = np.zeros((len(rows), panes), np.float32)
+        inverse[:, : len(values)] = vectors / values.astype(np.float32)
+        mixes[:, r * panes : (r + 1) * panes] = block.T @ inverse
+        makers[:, r * panes : (r + 1) * panes] = glow[:, None] * (spots.T @ inverse)
+    makers += radiosity @ mixes
+    return Modes(region, panes, regions, basis, dual, makers)
 
 
 def _keep_flux(vectors: np.ndarray, flux: np.ndarray) -> np.ndarray:

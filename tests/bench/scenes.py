@@ -58,14 +58,20 @@ def open_sample(name: str, resolution: int = 256) -> Scene:
 def settings(name: str) -> Iterator[tuple[Setting, tuple[Light, ...]]]:
     """Light the open sample in its ways, one after another; yields what shines, as the relighter wants it."""
     scene = bpy.context.scene
-    world = scene.world
+    world, frame = scene.world, scene.frame_current
+    lamp_objects = [obj for obj in scene.objects if obj.type == "LIGHT"]
+    hidden = [obj.hide_render for obj in lamp_objects]
     for setting in SETTINGS[name]:
-        for obj in scene.objects:
-            if obj.type == "LIGHT":
-                obj.hide_render = obj.name != setting.lamp
+        for obj in lamp_objects:
+            obj.hide_render = obj.name != setting.lamp
         scene.world = world if setting.sky else None
         scene.frame_set(setting.frame)
         bpy.context.view_layer.update()
         warnings: list[str] = []
         yield setting, lamps.read_lights(bpy.context.evaluated_depsgraph_get(), warnings)
+    # as it was, or what is baked next is another scene
+    for obj, was in zip(lamp_objects, hidden, strict=True):
+        obj.hide_render = was
     scene.world = world
+    scene.frame_set(frame)
+    bpy.context.view_layer.update()
