@@ -8,7 +8,7 @@ import numpy as np
 
 from ..panes.entry_light import EntrySurface
 from ..panes.modes import Modes, learn_modes, training_fields
-from ..panes.regions import features, make_regions, nearest, split_regions
+from ..panes.regions import features, make_regions, nearest, rooms, signature, split_regions
 from ..panes.training import illuminate, training_lamps
 from ..panes.weights import PaneWeights, make_weights
 from ..planner import Budget, Settings, needs_panes, plan
@@ -101,8 +101,11 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
         clock.start("Panes", 4)
         radiosity, field = training_fields(entries, transport, direct)
         clock.tick(1, 0)
-        region = make_regions(points, entries.area, max(budget.regions // 4, 1), seed)
-        region = split_regions(region, points, entries.area, field[:, ::2], budget.regions, budget.panes)
+        # rooms lie farther apart than anything within one
+        room = 4 * rooms(transport.between)[:, None].astype(np.float32)
+        alike = np.concatenate([points, signature(field[:, ::2]), room], 1)
+        region = make_regions(alike, entries.area, max(budget.regions // 4, 1), seed)
+        region = split_regions(region, alike, entries.area, field[:, ::2], budget.regions, budget.panes)
         modes = learn_modes(entries, transport, region, radiosity, field, budget.panes)
         clock.tick(1, 0)
         weights = make_weights(entries, transport, modes, direct[:, ::8])

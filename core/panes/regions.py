@@ -8,10 +8,47 @@ ROUNDS = 12
 NORMAL_WEIGHT = 0.5
 """How far apart opposite normals count, in units of the scene's extent."""
 
+LIGHT_WEIGHT = 0.3
+"""How far apart places that no lamp lights both count, in units of the scene's extent."""
+
+SIGNS = 16
+ROOMS = 64
+"""Rooms told apart, at most."""
+
 
 def features(position: np.ndarray, normal: np.ndarray, extent: float) -> np.ndarray:
     """(n, 6) float32 coordinates in which near means similarly lit."""
     return np.concatenate([position / np.float32(extent), normal * np.float32(0.5 * NORMAL_WEIGHT)], 1)
+
+
+def signature(field: np.ndarray, seed: int = 0) -> np.ndarray:
+    """(n, SIGNS) float32 coordinates in which entries are near when the same lamps light them.
+
+    field: (n, s) float32 training fields. Places on either side of a thin wall are neighbours, and share no light.
+    """
+    length = np.linalg.norm(field, axis=1, keepdims=True)
+    mix = np.random.default_rng(seed).standard_normal((field.shape[1], SIGNS)).astype(np.float32)
+    # a random projection keeps distances (Johnson & Lindenstrauss 1984)
+    return field @ mix * (np.float32(LIGHT_WEIGHT / np.sqrt(2 * SIGNS)) / np.maximum(length, 1e-30))
+
+
+def rooms(between: np.ndarray) -> np.ndarray:
+    """(n,) int32: entries between which no light passes, however often it bounces, are in different rooms.
+
+    between: (n, n), its zeros symmetric. Entries that see no other are in one room together.
+    """
+    room = np.zeros(len(between), np.int32)
+    left = between.any(axis=1)
+    # one step a room and bounce: each entry's row is read once
+    for number in range(1, ROOMS):
+        if not left.any():
+            break
+        fresh = np.flatnonzero(left)[:1]
+        while len(fresh):
+            room[fresh] = number
+            left[fresh] = False
+            fresh = np.flatnonzero((between[fresh] > 0).any(axis=0) & left)
+    return room
 
 
 def make_regions(points: np.ndarray, area: np.ndarray, count: int, seed: int = 0) -> np.ndarray:
