@@ -14,7 +14,7 @@ from ..panes import Panes
 from ..panes.entry_light import EntrySurface
 from ..panes.weights import PaneWeights
 
-FORMAT = 1
+FORMAT = 2
 
 
 class BakeError(ValueError):
@@ -24,8 +24,8 @@ class BakeError(ValueError):
 @dataclass
 class Bake:
     """images: float32 arrays by the name of their Blender image: "Lightpanes Panes" (k, H, W), the PRM atlas;
-    "Lightpanes Interpolation" (2, H, W): the row-major number of the texel that each texel shows plus one,
-    and the region of each exit plus one, 0 for none; "Lightpanes Weights" (flat), the operators of
+    "Lightpanes Interpolation" (3, H, W): the row-major number of the texel that each texel shows plus one,
+    the region of each exit plus one, 0 for none, and a bit for each neighbour on the same smooth surface (`joined`); "Lightpanes Weights" (flat), the operators of
     PaneWeights one after another; "Lightpanes Static" (H, W, 3), irradiance that no lamp changes; "Lightpanes Pieces"
     (p, 3, 3), the triangles that make the entries.
     entries: arrays over n × each places on the entries: position, normal, albedo (3 float32), size (float32, m),
@@ -46,16 +46,17 @@ class Bake:
         return self.meta.get("report", {})
 
     @classmethod
-    def from_panes(cls, panes: Panes, texel: np.ndarray, direct: np.ndarray | None, meta: dict) -> Bake:
-        """Name the arrays. texel: (t,) int32 place in the atlas of each of the panes' rows."""
-        size = panes.resolution
+    def from_panes(cls, panes: Panes, direct: np.ndarray | None, meta: dict) -> Bake:
+        """Name the arrays."""
+        size, texel = panes.resolution, panes.texel
         k = panes.rows.shape[1]
         atlas = np.zeros((k, size * size), np.float32)
         atlas[:, texel] = panes.rows.T
-        table = np.zeros((2, size * size), np.float32)
+        table = np.zeros((3, size * size), np.float32)
         table[0] = np.where(panes.fill >= 0, np.append(texel, -1)[panes.fill] + 1, 0)
         lengths = np.diff(panes.starts)
         table[1, texel] = np.repeat(np.arange(len(lengths)), lengths) + 1
+        table[2, texel] = np.packbits(panes.beside, axis=1)[:, 0]
         steady = np.zeros((size * size, 3), np.float32)
         steady[texel] = panes.steady
         weights = panes.weights
@@ -72,7 +73,7 @@ class Bake:
         }
         images = {
             "Lightpanes Panes": atlas.reshape(k, size, size),
-            "Lightpanes Interpolation": table.reshape(2, size, size),
+            "Lightpanes Interpolation": table.reshape(3, size, size),
             "Lightpanes Weights": np.concatenate([p.reshape(-1) for p in parts]),
             "Lightpanes Static": steady.reshape(size, size, 3),
             "Lightpanes Pieces": surface.pieces,
@@ -91,7 +92,7 @@ class Bake:
     def _panes(self):
         meta, size = self.meta, self.resolution
         atlas = self.images["Lightpanes Panes"].reshape(-1, size * size)
-        table = self.images["Lightpanes Interpolation"].reshape(2, size * size)
+        table = self.images["Lightpanes Interpolation"].reshape(3, size * size)
         # float32 holds integers exactly up to 2^24, the texels of a 4096² atlas
         region = np.rint(table[1]).astype(np.int32) - 1
         texel = np.flatnonzero(region >= 0)
@@ -112,6 +113,8 @@ class Bake:
             starts=starts,
             steady=self.images["Lightpanes Static"].reshape(-1, 3)[texel],
             fill=row[np.rint(table[0]).astype(np.int32) - 1],
+            texel=texel,
+            beside=np.unpackbits(table[2, texel].astype(np.uint8)[:, None], axis=1).astype(bool),
             resolution=size,
             surface=EntrySurface(
                 position=self.entries["position"],

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..panes import Panes
 from ..panes.entry_light import EntrySurface
-from ..panes.exits import gather_panes, smooth_panes
+from ..panes.exits import gather_panes, joined, smooth_panes
 from ..planner import Settings, limit_rays
 from ..scene import Scene
 from .check import compression_error, gather_noise
@@ -37,7 +37,8 @@ def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Pro
 
     clock.start("Exits", len(exits) * budget.exit_rays)
     found = gather_panes(made.gatherer, exits.samples, starts, tables, budget.exit_rays, seed + 41, clock.tick)
-    found = smooth_panes(found, exits, starts)
+    beside = joined(exits)
+    found = smooth_panes(found, exits, starts, beside)
     k = made.modes.panes
     fill = exits.fill()
     steady, first_hit = np.zeros((len(exits), 3), np.float32), None
@@ -51,6 +52,8 @@ def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Pro
         starts=starts,
         steady=steady,
         fill=fill,
+        texel=exits.index,
+        beside=beside,
         resolution=settings.resolution,
         surface=EntrySurface.of(made.entries, made.patches, made.places, made.tracer.offset),
         weights=made.weights,
@@ -81,7 +84,7 @@ def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Pro
         "budget": asdict(budget),
         "warnings": made.warnings,
     }
-    result = Bake.from_panes(panes, exits.index, first_hit, {"report": report, "seed": seed})
+    result = Bake.from_panes(panes, first_hit, {"report": report, "seed": seed})
     report["bytes"] = result.bytes
     if progress is not None:
         progress(Progress("Done", 1.0, clock.rays))

@@ -44,33 +44,53 @@ def gather_panes(
     return result
 
 
-def smooth_panes(rows: np.ndarray, exits: Texels, starts: np.ndarray) -> np.ndarray:
-    """(t, c) float32: each row averaged with its eight neighbours in the atlas, binomially.
+STEPS = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx)
+"""A texel's eight neighbours, in the order in which `joined` and whoever reads it count them."""
 
-    Only neighbours of the same region, facing alike and close by, so that neither edges nor charts nor regions
-    mix. It takes the gather's grain away (a seventh of the variance stays) for a texel's blur.
+
+def joined(exits: Texels) -> np.ndarray:
+    """(t, 8) bool: which of its neighbours (STEPS) in the atlas lie next to a texel on the same smooth surface.
+
+    They face alike and are close by; what lies across an edge or on another chart is not.
     """
+    size, place, at = _grid(exits)
+    position, normal = exits.samples.position, exits.samples.normal
+    # texels of one chart are about evenly spaced: a neighbour much farther than most is on another chart
+    nearby = _spacing(place, at, size, position)
+    result = np.zeros((len(exits), len(STEPS)), bool)
+    for k, (dy, dx) in enumerate(STEPS):
+        near = place[at + dy * (size + 2) + dx]
+        apart = position[near] - position
+        alike = np.einsum("nd,nd->n", normal[near], normal) > 0.9
+        result[:, k] = (near >= 0) & alike & (np.einsum("nd,nd->n", apart, apart) < (2 * nearby) ** 2)
+    return result
+
+
+def smooth_panes(rows: np.ndarray, exits: Texels, starts: np.ndarray, beside: np.ndarray) -> np.ndarray:
+    """(t, c) float32: each row averaged with its neighbours in the atlas, binomially.
+
+    beside: as from `joined`; of those only neighbours of the same region count, whose panes mean the same. It takes
+    the gather's grain away (a seventh of the variance stays) for a texel's blur.
+    """
+    size, place, at = _grid(exits)
+    region = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    total, weight = 4 * rows, np.full((len(rows), 1), 4, np.float32)
+    for k, (dy, dx) in enumerate(STEPS):
+        near = place[at + dy * (size + 2) + dx]
+        same = beside[:, k] & (region[near] == region)
+        share = (same * np.float32((2 - abs(dx)) * (2 - abs(dy))))[:, None]
+        total += share * rows[near]
+        weight += share
+    return total / weight
+
+
+def _grid(exits):
+    """The atlas' side, the row at each place of the atlas with a margin (−1 for none), and each row's place in it."""
     size = exits.resolution
     place = np.full((size + 2) * (size + 2), -1, np.int32)
     at = (exits.index // size + 1) * (size + 2) + exits.index % size + 1
     place[at] = np.arange(len(exits))
-    region = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
-    position, normal = exits.samples.position, exits.samples.normal
-    total, weight = 4 * rows, np.full((len(rows), 1), 4, np.float32)
-    # texels of one chart are about evenly spaced: a neighbour much farther than most is on another chart
-    nearby = _spacing(place, at, size, position)
-    for dy in (-1, 0, 1):
-        for dx in (-1, 0, 1):
-            if dx == dy == 0:
-                continue
-            near = place[at + dy * (size + 2) + dx]
-            apart = position[near] - position
-            same = (near >= 0) & (region[near] == region) & (np.einsum("nd,nd->n", normal[near], normal) > 0.9)
-            same &= np.einsum("nd,nd->n", apart, apart) < (2 * nearby) ** 2
-            share = (same * np.float32((2 - abs(dx)) * (2 - abs(dy))))[:, None]
-            total += share * rows[near]
-            weight += share
-    return total / weight
+    return size, place, at
 
 
 def _spacing(place, at, size, position):

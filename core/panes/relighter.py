@@ -10,6 +10,7 @@ import numpy as np
 from ..rays import Tracer
 from ..scene import Light
 from .entry_light import EntryLight, EntrySurface
+from .exits import STEPS
 from .weights import PaneWeights
 
 BLOCK = 64
@@ -23,7 +24,8 @@ class Panes:
     rows: (t, k) float32 panes at the valid texels, sorted by region. starts: (regions + 1,) int.
     steady: (t, 3) float32 irradiance that no live lamp changes (bounces of the sky, of emissive faces and of lamps
     that are not live), W/m².
-    fill: (resolution²,) int32 row that each texel of the atlas shows, −1 for none.
+    fill: (resolution²,) int32 row that each texel of the atlas shows, −1 for none. texel: (t,) int row-major place of
+    each row in the atlas. beside: (t, 8) bool, which of its neighbours lie on the same surface (exits.joined).
     surface, weights: see EntrySurface and PaneWeights.
     """
 
@@ -31,6 +33,8 @@ class Panes:
     starts: np.ndarray
     steady: np.ndarray
     fill: np.ndarray
+    texel: np.ndarray
+    beside: np.ndarray
     resolution: int
     surface: EntrySurface
     weights: PaneWeights
@@ -55,6 +59,7 @@ class Relighter:
         self._show = [np.append(flat + c * BLOCK, size)[panes.fill] for c in range(3)]
         self._image = np.ones((panes.resolution, panes.resolution, 4), np.float32)
         self._light = np.zeros(size + 1, np.float32)
+        self._seam = _seams(panes, flat)
         self._steady = np.zeros(size + 1, np.float32)
         for c in range(3):
             self._steady[flat + c * BLOCK] = panes.steady[:, c]
@@ -95,9 +100,16 @@ class Relighter:
         np.matmul(own, self._blocks, out=self._light[:-1].reshape(len(self._blocks), 3, BLOCK))
         return self._light
 
+    def blend_seams(self, light: np.ndarray) -> None:
+        """Average texels at the regions' borders with their neighbours, in place: each side errs in its own way."""
+        at, near, share = self._seam
+        light[at] = np.einsum("nk,nkc->nc", share, light[near])
+
     def texels(self, lights: Sequence[Light]) -> np.ndarray:
         """(t, 3) float32 indirect irradiance of the panes' rows, W/m²."""
-        light = self.combine(self.pane_weights(lights)) + self._steady
+        light = self.combine(self.pane_weights(lights))
+        self.blend_seams(light)
+        light = light + self._steady
         return np.stack([light[self._place + c * BLOCK] for c in range(3)], 1)
 
     def relight(self, lights: Sequence[Light]) -> np.ndarray:
@@ -106,6 +118,7 @@ class Relighter:
         The buffer is reused by the next call.
         """
         light = self.combine(self.pane_weights(lights))
+        self.blend_seams(light)
         light += self._steady
         # noise of the gather can dip below nothing where there is no light
         np.maximum(light, 0, out=light)
@@ -114,6 +127,29 @@ class Relighter:
         for c in range(3):
             pixels[:, c] = light.take(self._show[c])
         return self._image
+
+
+def _seams(panes, flat):
+    """Texels with a neighbour of another region: their places in the blended light for red, green and blue (s, 3),
+    those of the texels to average (s, 9, 3), and with what weights (s, 9).
+
+    flat: (t,) place of each row's red.
+    """
+    size = panes.resolution
+    row = np.full(size * size, -1, np.int32)
+    row[panes.texel] = np.arange(len(panes.texel), dtype=np.int32)
+    region = np.repeat(np.arange(len(panes.starts) - 1), np.diff(panes.starts))
+    steps = np.array([dy * size + dx for dy, dx in STEPS])
+    weight = np.array([(2 - abs(dx)) * (2 - abs(dy)) for dy, dx in STEPS], np.float32)
+    place = np.clip(panes.texel[:, None] + steps, 0, size * size - 1)
+    near = np.where(panes.beside, row[place], -1)
+    apart = (near >= 0) & (region[near] != region[:, None])
+    at = np.flatnonzero(apart.any(axis=1))
+    near = near[at]
+    share = np.concatenate([np.full((len(at), 1), 4, np.float32), weight * (near >= 0)], 1)
+    near = np.concatenate([at[:, None], np.where(near >= 0, near, at[:, None])], 1)
+    colours = BLOCK * np.arange(3)
+    return flat[at][:, None] + colours, flat[near][..., None] + colours, share / share.sum(axis=1, keepdims=True)
 
 
 def _blocks(rows, starts):
