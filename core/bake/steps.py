@@ -20,7 +20,7 @@ from ..transfer.entries import MAX_ALBEDO, PLACES
 from .clock import Clock
 from .steady import piece_excess, sky_bins, static_light, steady_light
 
-TEST_LAMPS = 24
+TEST_LAMPS = 15
 """Held-out lamps that measure the panes' error at the end of a bake."""
 
 

@@ -8,6 +8,9 @@ ROUNDS = 12
 NORMAL_WEIGHT = 0.5
 """How far apart opposite normals count, in units of the scene's extent."""
 
+LARGEST = 1.4
+"""Most entries of a region over the mean. Texels in a large one see more than its panes can tell, beside a wall say."""
+
 LIGHT_WEIGHT = 0.3
 """How far apart places that no lamp lights both count, in units of the scene's extent."""
 
@@ -70,7 +73,7 @@ def make_regions(points: np.ndarray, area: np.ndarray, count: int, seed: int = 0
 def split_regions(
     region: np.ndarray, points: np.ndarray, area: np.ndarray, field: np.ndarray, count: int, panes: int
 ) -> np.ndarray:
-    """(n,) int32: the regions, split where panes lose most until there are `count`.
+    """(n,) int32: the regions, split where they are large or panes lose most, until there are `count`.
 
     region: (n,) int32 to begin with. points: (n, d) features. area: (n,) m². field: (n, s) float32 training
     fields. panes: modes that each region will keep. What a region loses is the energy of its part of the
@@ -88,7 +91,8 @@ def split_regions(
     losses = [lost(rows) for rows in groups]
     # one split a step: which region is worst depends on the splits before
     while len(groups) < count and max(losses) > 0:
-        worst = int(np.argmax(losses))
+        sizes = [len(rows) for rows in groups]
+        worst = int(np.argmax(sizes if max(sizes) > LARGEST * len(region) / count else losses))
         rows = groups[worst]
         centred = points[rows] - np.average(points[rows], axis=0, weights=area[rows])
         axis = np.linalg.eigh((centred * area[rows, None]).T @ centred)[1][:, -1]

@@ -103,7 +103,10 @@ class Relighter:
     def blend_seams(self, light: np.ndarray) -> None:
         """Average texels at the regions' borders with their neighbours, in place: each side errs in its own way."""
         at, near, share = self._seam
-        light[at] = np.einsum("nk,nkc->nc", share, light[near])
+        total = light.take(at) * share[0]
+        for places, weight in zip(near, share[1:], strict=True):
+            total += light.take(places) * weight
+        light[at] = total
 
     def texels(self, lights: Sequence[Light]) -> np.ndarray:
         """(t, 3) float32 indirect irradiance of the panes' rows, W/m²."""
@@ -130,8 +133,8 @@ class Relighter:
 
 
 def _seams(panes, flat):
-    """Texels with a neighbour of another region: their places in the blended light for red, green and blue (s, 3),
-    those of the texels to average (s, 9, 3), and with what weights (s, 9).
+    """Texels beside one of another region: their places in the blended light for red, green and blue (3, s), those of
+    their straight neighbours (4, 3, s), and the weights of the texel and its neighbours (5, s).
 
     flat: (t,) place of each row's red.
     """
@@ -139,17 +142,16 @@ def _seams(panes, flat):
     row = np.full(size * size, -1, np.int32)
     row[panes.texel] = np.arange(len(panes.texel), dtype=np.int32)
     region = np.repeat(np.arange(len(panes.starts) - 1), np.diff(panes.starts))
-    steps = np.array([dy * size + dx for dy, dx in STEPS])
-    weight = np.array([(2 - abs(dx)) * (2 - abs(dy)) for dy, dx in STEPS], np.float32)
-    place = np.clip(panes.texel[:, None] + steps, 0, size * size - 1)
-    near = np.where(panes.beside, row[place], -1)
-    apart = (near >= 0) & (region[near] != region[:, None])
-    at = np.flatnonzero(apart.any(axis=1))
-    near = near[at]
-    share = np.concatenate([np.full((len(at), 1), 4, np.float32), weight * (near >= 0)], 1)
-    near = np.concatenate([at[:, None], np.where(near >= 0, near, at[:, None])], 1)
-    colours = BLOCK * np.arange(3)
-    return flat[at][:, None] + colours, flat[near][..., None] + colours, share / share.sum(axis=1, keepdims=True)
+    straight = [k for k, (dy, dx) in enumerate(STEPS) if not dy or not dx]
+    steps = np.array([dy * size + dx for dy, dx in (STEPS[k] for k in straight)])
+    place = np.clip(panes.texel + steps[:, None], 0, size * size - 1)
+    near = np.where(panes.beside[:, straight].T, row[place], -1)
+    at = np.flatnonzero(((near >= 0) & (region[near] != region)).any(axis=0))
+    near = near[:, at]
+    share = np.concatenate([np.ones((1, len(at)), np.float32), (near >= 0).astype(np.float32)])
+    near = np.where(near >= 0, near, at)
+    colours = BLOCK * np.arange(3)[:, None]
+    return flat[at] + colours, flat[near][:, None] + colours, share / share.sum(axis=0)
 
 
 def _blocks(rows, starts):

@@ -109,9 +109,10 @@ def make_patches(scene: Scene, count: int, seed: int = 0) -> Patches:
     area = 0.5 * np.linalg.norm(scene.triangle_cross()[rows].astype(np.float64), axis=1).sum()
     size = float(np.sqrt(area / max(count, 1)))
     low, high, best = 0.0, np.inf, None
+    island = _islands(scene, rows, size)
     for _ in range(6):
         pieces = bisect(corners, size)
-        patch, found = _group(scene, rows, pieces, size, seed)
+        patch, found = _group(scene, rows, pieces, size, seed, island)
         if best is None or abs(np.log(found / count)) < abs(np.log(best[2] / count)):
             best = (pieces, patch, found)
         if abs(found / count - 1) < 0.03:
@@ -122,7 +123,7 @@ def make_patches(scene: Scene, count: int, seed: int = 0) -> Patches:
     return _summarise(scene, rows, *best)
 
 
-def _group(scene, rows, pieces, size, seed):
+def _group(scene, rows, pieces, size, seed, island):
     """Patch of each piece, and how many there are."""
     corners, parent, _ = pieces
     centre = corners.mean(axis=1)
@@ -139,8 +140,30 @@ def _group(scene, rows, pieces, size, seed):
     key = key * NORMAL_BINS + bins
     key = key * len(scene.objects) + scene.triangle_object[source]
     key = key * len(scene.materials) + scene.triangle_material[source]
+    key = key * (int(island.max()) + 1) + island[parent]
     names, patch = np.unique(key, return_inverse=True)
     return patch.reshape(-1).astype(np.int32), len(names)
+
+
+def _islands(scene, rows, size):
+    """(len(rows),) int64 number of the connected part of a mesh that each triangle belongs to, 0 for all parts smaller
+    than a patch: rooms of one mesh share no patch across a thin wall, the leaves of a tree do."""
+    triangles = scene.triangles[rows]
+    label = np.arange(len(scene.positions))
+    while True:
+        least = label[triangles].min(axis=1)
+        before = label.copy()
+        for k in range(3):
+            np.minimum.at(label, triangles[:, k], least)
+        label = label[label]
+        if np.array_equal(label, before):
+            break
+    _, island = np.unique(label[triangles[:, 0]], return_inverse=True)
+    island = island.reshape(-1)
+    area = np.bincount(island, 0.5 * np.linalg.norm(scene.triangle_cross()[rows].astype(np.float64), axis=1))
+    large = area > size * size
+    number = np.where(large, np.cumsum(large), 0)
+    return number[island]
 
 
 def _summarise(scene, rows, pieces, patch, count):

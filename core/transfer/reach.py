@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..rays import Bvh, Transmission
+from ..rays import Bvh, Hits, Transmission, chunks, in_threads
 from ..sampling import concentric_disk, cosine_hemisphere, frame, hash_uniform, spiral
 from ..scene import Scene
 from ..surface import Patches
@@ -28,7 +28,7 @@ def flood(scene: Scene, patches: Patches, bvh: Bvh, offset: float, seed: int = 0
         np.float32
     )
     for bounce in range(BOUNCES):
-        hits = bvh.hits(np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32))
+        hits = _hits(bvh, np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32))
         met = np.flatnonzero(hits.triangle >= 0)
         if not len(met):
             break
@@ -49,6 +49,12 @@ def flood(scene: Scene, patches: Patches, bvh: Bvh, offset: float, seed: int = 0
         directions = np.where(passes[:, None], ahead, scattered).astype(np.float32)
         origins = place + np.where(passes[:, None], -normal, normal) * np.float32(offset)
     return hits_of_side
+
+
+def _hits(bvh, origins, directions):
+    """Closest hits, on threads."""
+    parts = in_threads(lambda s: bvh.hits(origins[s], directions[s]), chunks(len(origins)))
+    return Hits(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
 def _sources(scene, patches, offset, seed):

@@ -45,7 +45,7 @@ def test_baked_in_light_is_what_a_live_lamp_gives():
     # the rows are in another order
     assert np.allclose(found.mean(axis=0), expected.mean(axis=0), rtol=0.01)
     for q in (0.1, 0.5, 0.9):
-        assert np.allclose(np.quantile(found, q, axis=0), np.quantile(expected, q, axis=0), rtol=0.04)
+        assert np.allclose(np.quantile(found, q, axis=0), np.quantile(expected, q, axis=0), rtol=0.06)
 
 
 def test_without_live_lamps_there_are_no_panes(tmp_path):
