@@ -68,9 +68,9 @@ def plan(scene: Scene, settings: Settings) -> Budget:
         entries=_clamp((4400 if live else 3000) * finer**0.6, 800, 10_000),
         entry_rays=_clamp((512 if live else 256) * finer, 256, 4096),
         exit_rays=_clamp(192 * finer, 32, 2048),
-        regions=_clamp(184 * finer**0.3, 48, 256),
+        regions=_clamp(192 * finer**0.3, 48, 256),
         panes=16 if finer <= 2 else 24,
-        lamps=_clamp(1200 * finer**0.5, 400, 4000),
+        lamps=_clamp(1400 * finer**0.5, 400, 4000),
     )
     given = {name: value for name in Budget.__dataclass_fields__ if (value := getattr(settings, name)) is not None}
     return replace(budget, **given)

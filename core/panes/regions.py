@@ -8,7 +8,7 @@ ROUNDS = 12
 NORMAL_WEIGHT = 0.5
 """How far apart opposite normals count, in units of the scene's extent."""
 
-LARGEST = 1.4
+LARGEST = 2.0
 """Most entries of a region over the mean. Texels in a large one see more than its panes can tell, beside a wall say."""
 
 LIGHT_WEIGHT = 0.3

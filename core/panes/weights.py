@@ -16,7 +16,7 @@ import numpy as np
 from ..transfer import Entries, Transport
 from .modes import Modes
 
-RANK = 128
+RANK = 192
 """Leading fields kept of all bounces after the first."""
 
 TILE = 32

@@ -14,6 +14,9 @@ from ..sampling import hash_uniform
 from ..scene import Scene
 from .samples import SurfaceSamples, sample_triangles, surface_colour
 
+ROOM = 100
+"""Patches, about, of a connected part of a mesh that keeps them to itself."""
+
 NORMAL_BINS = 27
 """A normal's direction, each coordinate rounded to −1, 0 or 1."""
 
@@ -146,8 +149,8 @@ def _group(scene, rows, pieces, size, seed, island):
 
 
 def _islands(scene, rows, size):
-    """(len(rows),) int64 number of the connected part of a mesh that each triangle belongs to, 0 for all parts smaller
-    than a patch: rooms of one mesh share no patch across a thin wall, the leaves of a tree do."""
+    """(len(rows),) int64 number of the connected part of a mesh that each triangle belongs to, 0 for all small parts:
+    rooms of one mesh share no patch across a thin wall, the leaves of a tree do."""
     triangles = scene.triangles[rows]
     label = np.arange(len(scene.positions))
     while True:
@@ -161,7 +164,7 @@ def _islands(scene, rows, size):
     _, island = np.unique(label[triangles[:, 0]], return_inverse=True)
     island = island.reshape(-1)
     area = np.bincount(island, 0.5 * np.linalg.norm(scene.triangle_cross()[rows].astype(np.float64), axis=1))
-    large = area > size * size
+    large = area > ROOM * size * size
     number = np.where(large, np.cumsum(large), 0)
     return number[island]
 

@@ -112,7 +112,7 @@ def test_no_light_through_a_thin_wall(meshes, thick):
         assert found[~there].mean() > 1
         # nothing passes; what is left is the rounding of the later bounces' low rank
         assert np.abs(found[there].mean()) < 0.001 * found[~there].mean()
-        assert np.abs(found[there]).max() < 0.03 * found[~there].mean()
+        assert np.abs(found[there]).max() < 0.05 * found[~there].mean()
 
 
 def test_a_lamp_inside_a_closed_box_stays_there():
