@@ -87,8 +87,8 @@ def paused():
 def relight(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph | None = None) -> float:
     """Bring the scene's `Lightpanes Irradiance` up to date with its lamps; returns milliseconds.
 
-    All lamps are read anew, those that stopped being live after the bake included. Raises SceneError when there is no bake or when it
-    can't be used.
+    All lamps are read anew, those that stopped being live after the bake included. Raises SceneError when there is no
+    bake or when it can't be used.
     """
     scene = context.scene
     with _lock:

@@ -25,8 +25,8 @@ class BakeError(ValueError):
 class Bake:
     """images: float32 arrays by the name of their Blender image: "Lightpanes Panes" (k, H, W), the PRM atlas;
     "Lightpanes Interpolation" (3, H, W): the row-major number of the texel that each texel shows plus one,
-    the region of each exit plus one, 0 for none, and a bit for each neighbour on the same smooth surface (`joined`); "Lightpanes Weights" (flat), the operators of
-    PaneWeights one after another; "Lightpanes Static" (H, W, 3), irradiance that no lamp changes; "Lightpanes Pieces"
+    the region of each exit plus one, 0 for none, and a bit for each neighbour on the same smooth surface (`joined`);
+    "Lightpanes Weights" (flat), the operators of PaneWeights one after another; "Lightpanes Static" (H, W, 3), irradiance that no lamp changes; "Lightpanes Pieces"
     (p, 3, 3), the triangles that make the entries.
     entries: arrays over n × each places on the entries: position, normal, albedo (3 float32), size (float32, m),
     pieces (int32), the entry's number of triangles, and region (int32).

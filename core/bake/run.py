@@ -8,7 +8,6 @@ from dataclasses import asdict
 import numpy as np
 
 from ..panes import Panes
-from ..panes.entry_light import EntrySurface
 from ..panes.exits import gather_panes, joined, smooth_panes
 from ..planner import Settings, limit_rays
 from ..scene import Scene
@@ -55,7 +54,7 @@ def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Pro
         texel=exits.index,
         beside=beside,
         resolution=settings.resolution,
-        surface=EntrySurface.of(made.entries, made.patches, made.places, made.tracer.offset),
+        surface=made.surface,
         weights=made.weights,
     )
 

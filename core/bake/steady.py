@@ -56,9 +56,7 @@ def piece_excess(
     for quarter in QUARTERS:
         weights = np.einsum("k,nkc->nc", quarter, patches.weights[sides // 2])
         samples = sample_triangles(scene, patches.parent[sides // 2], weights)
-        # smooth shading can turn the flat normal over; the piece's own geometry names the side
-        upside = np.einsum("nd,nd->n", scene.triangle_cross()[samples.triangle], samples.flat) < 0
-        samples = samples.flipped(entries.back[own] ^ upside)
+        samples = samples.on_side(scene, entries.back[own])
         position = samples.position + samples.flat * np.float32(tracer.offset)
         for light in static_lamps(scene):
             direct += _coloured(irradiance(light, position, samples.normal, tracer.visibility, 1, seed), light)

@@ -20,7 +20,7 @@ from ..transfer.entries import MAX_ALBEDO, PLACES
 from .clock import Clock
 from .steady import piece_excess, sky_bins, static_light, steady_light
 
-TEST_LAMPS = 15
+TEST_LAMPS = 24
 """Held-out lamps that measure the panes' error at the end of a bake."""
 
 
@@ -43,6 +43,7 @@ class Prepared:
     gatherer: Gatherer
     transport: Transport
     places: SurfaceSamples
+    surface: EntrySurface
     modes: Modes
     weights: PaneWeights
     exits: Texels
@@ -88,6 +89,7 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
     transport = make_transport(entries, gatherer, budget.entry_rays, seed, clock.tick)
 
     places = entries.places
+    surface = EntrySurface.of(entries, patches, places, tracer.offset)
     points = features(entries.position, entries.normal, scene.extent)
     if needs_panes(scene):
         lamps = training_lamps(scene, places, gatherer, budget.lamps, seed + 6)
@@ -102,17 +104,18 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
         radiosity, field = training_fields(entries, transport, direct)
         clock.tick(1, 0)
         # rooms lie farther apart than anything within one
-        room = 4 * rooms(transport.between)[:, None].astype(np.float32)
-        alike = np.concatenate([points, signature(field[:, ::2]), room], 1)
+        room = rooms(transport.between)
+        far = 4 * room[:, None].astype(np.float32)
+        alike = np.concatenate([points, signature(field[:, ::2]), far], 1)
         region = make_regions(alike, entries.area, max(budget.regions // 4, 1), seed)
         region = split_regions(region, alike, entries.area, field[:, ::2], budget.regions, budget.panes)
         modes = learn_modes(entries, transport, region, radiosity, field, budget.panes)
         clock.tick(1, 0)
-        weights = make_weights(entries, transport, modes, direct[:, ::8])
+        weights = make_weights(entries, transport, modes, room, direct[:, ::8])
         clock.tick(1, 0)
     else:
         modes, weights, test_direct = *no_panes(entries), None
-    static = static_light(scene, EntrySurface.of(entries, patches, places, tracer.offset), tracer, seed)
+    static = static_light(scene, surface, tracer, seed)
     steady, shine = steady_light(scene.sky, bins, entries, transport, static)
     own = _own_region(texels.samples, bvh, entries, patches, modes.region, points, scene.extent, tracer.offset)
     exits = texels.keep(np.lexsort((texels.index, own)))
@@ -122,9 +125,10 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
         # without panes there is room for a row for every piece of every entry
         gatherer, owner = make_piece_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
         tables = tables[:, np.append(owner, np.arange(len(entries), tables.shape[1]))]
-        tables[0, : len(owner), 1:4] += piece_excess(scene, patches, entries, owner, static, tracer, seed)
+        bounces = slice(modes.panes, modes.panes + 3)
+        tables[0, : len(owner), bounces] += piece_excess(scene, patches, entries, owner, static, tracer, seed)
     return Prepared(
-        scene, budget, patches, bvh, tracer, entries, gatherer, transport, places, modes, weights,
+        scene, budget, patches, bvh, tracer, entries, gatherer, transport, places, surface, modes, weights,
         exits, starts, tables, test_direct, int(buried.sum()), warnings,
     )  # fmt: skip
 

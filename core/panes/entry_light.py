@@ -24,8 +24,8 @@ class EntrySurface:
     """The entries as lamps see them, all that a relight needs of the scene's shape.
 
     position, normal: (n × each, 3) float32 places on the entries, lifted off the surface, row-major.
-    albedo: (n, 3) float32. size: (n,) float32, √area of the whole patch, m. pieces: (p, 3, 3) float32 corners, m, of the triangles
-    that make the entries, wound towards the entry's side and sorted by entry; counts: (n,) int32 pieces of each.
+    albedo: (n, 3) float32. size: (n,) float32, √area of the whole patch, m. pieces: (p, 3, 3) float32 corners,
+    m, of the triangles that make the entries, wound towards the entry's side and sorted by entry; counts: (n,) int32 pieces of each.
     """
 
     position: np.ndarray

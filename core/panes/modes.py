@@ -16,7 +16,6 @@ from ..transfer import Entries, Transport
 FLOOR = 1e-5
 """Singular values below this part of a region's largest are noise, not light."""
 
-
 SPOT = 0.01
 """Weight, beside a training lamp's field of mean 1, of a lamp so near to an entry that it lights no other."""
 

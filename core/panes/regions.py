@@ -15,6 +15,8 @@ LIGHT_WEIGHT = 0.3
 """How far apart places that no lamp lights both count, in units of the scene's extent."""
 
 SIGNS = 16
+"""Coordinates that tell places apart by the lamps that light them."""
+
 ROOMS = 64
 """Rooms told apart, at most."""
 

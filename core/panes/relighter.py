@@ -51,9 +51,9 @@ class Relighter:
         self.entry_light = EntryLight(panes.surface, tracer, seed)
         self._unit: dict[tuple, np.ndarray] = {}
         self._weights: dict[tuple, np.ndarray] = {}
-        self._blocks, self._region, self._slot = _blocks(panes.rows, panes.starts)
+        self._blocks, self._region, slot = _blocks(panes.rows, panes.starts)
         # places of red in the blocks, green and blue follow at a BLOCK's distance; the last three are black
-        flat = self._slot // BLOCK * (3 * BLOCK) + self._slot % BLOCK
+        flat = slot // BLOCK * (3 * BLOCK) + slot % BLOCK
         size = 3 * self._blocks.shape[0] * BLOCK
         self._place = flat
         self._show = [np.append(flat + c * BLOCK, size)[panes.fill] for c in range(3)]
@@ -108,11 +108,16 @@ class Relighter:
             total += light.take(places) * weight
         light[at] = total
 
-    def texels(self, lights: Sequence[Light]) -> np.ndarray:
-        """(t, 3) float32 indirect irradiance of the panes' rows, W/m²."""
+    def _lit(self, lights):
+        """The whole irradiance, laid out as by `combine`."""
         light = self.combine(self.pane_weights(lights))
         self.blend_seams(light)
-        light = light + self._steady
+        light += self._steady
+        return light
+
+    def texels(self, lights: Sequence[Light]) -> np.ndarray:
+        """(t, 3) float32 indirect irradiance of the panes' rows, W/m²."""
+        light = self._lit(lights)
         return np.stack([light[self._place + c * BLOCK] for c in range(3)], 1)
 
     def relight(self, lights: Sequence[Light]) -> np.ndarray:
@@ -120,9 +125,7 @@ class Relighter:
 
         The buffer is reused by the next call.
         """
-        light = self.combine(self.pane_weights(lights))
-        self.blend_seams(light)
-        light += self._steady
+        light = self._lit(lights)
         # noise of the gather can dip below nothing where there is no light
         np.maximum(light, 0, out=light)
         light[-1] = 0

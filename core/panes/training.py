@@ -23,6 +23,9 @@ NEAR = (0.005, 0.045)
 SUNS = 12
 """One training lamp in so many is a sun, where the scene has one."""
 
+SUN_RAYS = 1024
+"""Rays that look for the sky, for each sun: through a small window few of them find it."""
+
 
 def free_air(
     points: SurfaceSamples, bvh: Bvh, extent: float, seed: int, near: tuple[float, float] | None = None
@@ -69,7 +72,7 @@ def sun_lamps(scene: Scene, points: SurfaceSamples, bvh: Bvh, count: int, seed: 
     """
     if count < 1 or not any(light.kind == "SUN" for light in scene.lights):
         return []
-    index = np.arange(64 * count)
+    index = np.arange(SUN_RAYS * count)
     samples = points.take(np.sort(np.random.default_rng(seed).integers(0, len(points), len(index))))
     origin, direction = _cosine_rays(samples, scene.extent, seed, index)
     free = (bvh.hits(origin, direction).triangle < 0) & (direction[:, 2] > 0.03)

@@ -1,8 +1,8 @@
 """From the entries' direct irradiance to the panes' weights: Galerkin in mode space.
 
 The indirect field at the entries is y = F x with x = ρ (b + y). In the modes U (orthonormal under √area)
-y = U w, so w = A (ρ b) + C w with A = U⁺ F and C = U⁺ F ρ U (U⁺: the modes' dual). A is shared by red, green and blue. The
-bounces after the first, (1 − C)⁻¹ C, make smooth fields of low rank: they are kept as Q G. What little the low
+y = U w, so w = A (ρ b) + C w with A = U⁺ F and C = U⁺ F ρ U (U⁺: the modes' dual). A is shared by red, green and
+blue. The bounces after the first, (1 − C)⁻¹ C, make smooth fields of low rank: they are kept as Q G. What little the low
 rank loses is made good by gathering the field once more with A (final gathering).
 """
 
@@ -17,7 +17,10 @@ from ..transfer import Entries, Transport
 from .modes import Modes
 
 RANK = 192
-"""Leading fields kept of all bounces after the first."""
+"""Leading fields kept of all bounces after the first, shared by rooms as their entries are."""
+
+ROOM_RANK = 8
+"""Leading fields of a room, at least."""
 
 TILE = 32
 """Rows of the large operator that lie together in memory; see `PaneWeights._gather`."""
@@ -66,10 +69,12 @@ class PaneWeights:
         return tiles
 
 
-def make_weights(entries: Entries, transport: Transport, modes: Modes, direct: np.ndarray) -> PaneWeights:
+def make_weights(
+    entries: Entries, transport: Transport, modes: Modes, room: np.ndarray, direct: np.ndarray
+) -> PaneWeights:
     """Weights operator for `modes`.
 
-    direct: (n, s) float32 irradiance by some training lamps, from which the later bounces' leading fields are learnt.
+    room: (n,) int32 of each entry (regions.rooms); no region reaches over two. direct: (n, s) float32 irradiance by some training lamps, from which the later bounces' leading fields are learnt.
     """
     count, k, regions = len(entries), modes.panes, modes.regions
     size = regions * k
@@ -91,7 +96,10 @@ def make_weights(entries: Entries, transport: Transport, modes: Modes, direct: n
 
     once = first @ (entries.albedo.mean(axis=1, keepdims=True) * direct)
     # the second bounce's fields span, all but exactly, those of the bounces that follow it
-    spread = _leading(np.concatenate([again(once, c) for c in range(3)], 1), RANK)
+    fields = np.concatenate([again(once, c) for c in range(3)], 1)
+    own = np.zeros(regions, np.int32)
+    own[modes.region] = room
+    spread = _leading_by_room(fields, np.repeat(own, k))
     later = np.empty((3, spread.shape[1], size), np.float32)
     seen = spread.T @ first
     for c in range(3):
@@ -105,6 +113,20 @@ def make_weights(entries: Entries, transport: Transport, modes: Modes, direct: n
         system = np.eye(len(operator)) - (operator @ spread).astype(np.float64)
         later[c] = np.linalg.solve(system, operator)
     return PaneWeights(first, spread, later, modes.region, modes.basis / root[:, None], entries.albedo)
+
+
+def _leading_by_room(fields: np.ndarray, room: np.ndarray) -> np.ndarray:
+    """(m, r) float32 orthonormal, each column of one room: what is rounded off in one must not shine in another.
+
+    fields: (m, s) float32; room: (m,) int of each row.
+    """
+    parts = []
+    for number in np.unique(room):
+        rows = np.flatnonzero(room == number)
+        basis = _leading(fields[rows], max(round(RANK * len(rows) / len(room)), ROOM_RANK))
+        parts.append(np.zeros((len(room), basis.shape[1]), np.float32))
+        parts[-1][rows] = basis
+    return np.concatenate(parts, 1)
 
 
 def _leading(fields: np.ndarray, rank: int, seed: int = 0) -> np.ndarray:

@@ -39,6 +39,14 @@ class SurfaceSamples:
         sign = np.where(back, -1, 1).astype(np.float32)[:, None]
         return SurfaceSamples(self.position, self.normal * sign, self.flat * sign, self.triangle, self.weights)
 
+    def on_side(self, scene: Scene, back: np.ndarray) -> SurfaceSamples:
+        """The same places, seen from the side that their triangles' winding names, its reverse where `back` is set.
+
+        Smooth shading can turn the flat normal over; the winding stays.
+        """
+        over = np.einsum("nd,nd->n", scene.triangle_cross()[self.triangle], self.flat) < 0
+        return self.flipped(back ^ over)
+
 
 def sample_triangles(scene: Scene, triangle: np.ndarray, weights: np.ndarray) -> SurfaceSamples:
     """Samples at barycentric `weights` (n, 3) of triangles (n,)."""

@@ -129,7 +129,7 @@ def _next_to(mask: np.ndarray) -> np.ndarray:
 
 
 def _crossed(flat: np.ndarray, resolution: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Texels (m,) that the edges of chart triangles cross, those triangles (m,), and weights (m, 3) of a place there."""
+    """Texels (m,) that edges of chart triangles cross, those triangles (m,), and weights (m, 3) of a place there."""
     start, end = flat[:, :, :2], np.roll(flat[:, :, :2], -1, axis=1)
     steps = np.ceil(2 * np.linalg.norm(end - start, axis=2)).astype(np.int64).ravel() + 1
     edge = np.repeat(np.arange(len(steps)), steps)

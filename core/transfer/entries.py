@@ -67,10 +67,7 @@ class Entries:
 
 def _places(scene: Scene, patches: Patches, patch: np.ndarray, back: np.ndarray, seed: int) -> SurfaceSamples:
     """A random place on each of `patch` (n,), on its reverse where `back` (n,) is set."""
-    samples = patches.sample(scene, patch.astype(np.int32), seed)
-    # smooth shading can turn the flat normal over; the patch's own geometry names the side
-    upside = np.einsum("nd,nd->n", scene.triangle_cross()[samples.triangle], samples.flat) < 0
-    return samples.flipped(back ^ upside)
+    return patches.sample(scene, patch.astype(np.int32), seed).on_side(scene, back)
 
 
 def find_entries(

@@ -89,9 +89,9 @@ def make_transport(
     # what the hemisphere's rays say about the sum over all entries is exact where no ray escapes
     reach = between.sum(axis=1)
     samples = [points.take(np.arange(count) * places + k) for k in range(PAIR_SAMPLES)]
-    terms = sample_pairs(samples, entries.span(), gatherer.offset, gatherer.visible, tick)
-    area = entries.area.astype(np.float32)
     size = entries.span()
+    terms = sample_pairs(samples, size, gatherer.offset, gatherer.visible, tick)
+    area = entries.area.astype(np.float32)
     middle = entries.position - entries.position.mean(axis=0)
     for start in range(0, count, 512):
         # block by block of the upper triangle, in place: a second full matrix would double the memory

@@ -112,7 +112,7 @@ def room(**more) -> Scene:
 
 def quick(**more) -> Settings:
     """Budgets for a bake within a second."""
-    given = {"resolution": 48, "entries": 500, "lamps": 400, "regions": 24, "entry_rays": 256, "exit_rays": 128}
+    given = {"resolution": 48, "entries": 500, "lamps": 200, "regions": 24, "entry_rays": 256, "exit_rays": 128}
     return Settings(**(given | more))
 
 

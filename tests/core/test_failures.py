@@ -10,7 +10,7 @@ import pytest
 from lightpanes.core.bake import bake
 from lightpanes.core.bake.steps import prepare
 from lightpanes.core.panes import Relighter
-from lightpanes.core.panes.entry_light import EntryLight, EntrySurface
+from lightpanes.core.panes.entry_light import EntryLight
 from lightpanes.core.panes.exits import gather_panes
 from lightpanes.core.rays import Tracer
 from lightpanes.core.scene import Material, Scene
@@ -27,9 +27,7 @@ class Uncompressed:
         self.ready = prepare(made, settings)
         self.rays = rays
         ready = self.ready
-        self.light = EntryLight(
-            EntrySurface.of(ready.entries, ready.patches, ready.places, ready.tracer.offset), ready.tracer
-        )
+        self.light = EntryLight(ready.surface, ready.tracer)
 
     def texels(self, lights) -> np.ndarray:
         """(frames, t): red irradiance of the exits under each lamp alone, gathered by the same rays."""
@@ -110,9 +108,7 @@ def test_no_light_through_a_thin_wall(meshes, thick):
     for light in lights:
         found = relighter(made, baked).texels([light])[:, 0]
         assert found[~there].mean() > 1
-        # nothing passes; what is left is the rounding of the later bounces' low rank
-        assert np.abs(found[there].mean()) < 0.001 * found[~there].mean()
-        assert np.abs(found[there]).max() < 0.05 * found[~there].mean()
+        assert np.abs(found[there]).max() < 0.005 * found[~there].mean()
 
 
 def test_a_lamp_inside_a_closed_box_stays_there():

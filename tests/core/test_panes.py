@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from lightpanes.core.bake.steps import PLACES, prepare
 from lightpanes.core.panes import Relighter
 from lightpanes.core.panes.clusters import cluster_mean, gather_clusters, make_clusters
-from lightpanes.core.panes.entry_light import EntryLight, EntrySurface
+from lightpanes.core.panes.entry_light import EntryLight
 from lightpanes.core.panes.exits import STEPS, gather_panes
 from lightpanes.core.panes.regions import features, make_regions, nearest, split_regions
 from lightpanes.core.panes.training import free_air, room_around, training_lamps
@@ -44,7 +44,7 @@ def prepared_room():
 
 def solve(ready, light) -> np.ndarray:
     """(n, 3) radiosity of the entries, all bounces, nothing compressed."""
-    surface = EntrySurface.of(ready.entries, ready.patches, ready.places, ready.tracer.offset)
+    surface = ready.surface
     direct = EntryLight(surface, ready.tracer).unit(light)
     source = ready.entries.albedo * direct.reshape(len(surface), -1) * light.power.astype(np.float32)
     channels = [ready.transport.solve(ready.entries.albedo[:, c : c + 1], source[:, c : c + 1]) for c in range(3)]
@@ -182,7 +182,7 @@ def slow_solid_angle(corners, place):
 
 def test_solid_angles_of_entries():
     ready, _ = prepared_room()
-    surface = EntrySurface.of(ready.entries, ready.patches, ready.places, ready.tracer.offset)
+    surface = ready.surface
     place = np.array([3.1, 1.4, 0.35])
     rows = np.arange(0, len(surface), 7)
     found = EntryLight(surface, ready.tracer)._solid_angle(rows, place)
@@ -198,14 +198,14 @@ def test_solid_angles_of_entries():
 def test_all_of_a_lamp_s_power_arrives(height):
     # Σ E A = Φ in a sealed room, however near the lamp is to the floor
     ready, _ = prepared_room()
-    surface = EntrySurface.of(ready.entries, ready.patches, ready.places, ready.tracer.offset)
+    surface = ready.surface
     arrived = EntryLight(surface, ready.tracer).unit(lamp((2.9, 1.2, height), 1.0)) @ ready.entries.area
     assert arrived == pytest.approx(1, rel=0.03)
 
 
 def test_places_are_on_the_entries():
     ready, _ = prepared_room()
-    surface = EntrySurface.of(ready.entries, ready.patches, ready.places, ready.tracer.offset)
+    surface = ready.surface
     place = surface.position.reshape(len(surface), PLACES, 3)
     assert np.abs(place.mean(axis=1) - ready.entries.position).max() < 0.5 * surface.size.max()
     corners = np.split(surface.pieces, np.cumsum(surface.counts)[:-1])
@@ -293,7 +293,7 @@ def test_as_many_clusters_as_entries_lose_nothing():
     own = np.arange(len(ready.entries), dtype=np.int32)
     panes = gather_clusters(ready.entries, ready.transport, ready.gatherer, ready.exits.samples, own, 64, 5)
     light = lamp((0.3, 0.2, -0.4))
-    surface = EntrySurface.of(ready.entries, ready.patches, ready.places, ready.tracer.offset)
+    surface = ready.surface
     direct = EntryLight(surface, ready.tracer).unit(light)[:, None] * light.power.astype(np.float32)
     ids = []
     ready.gatherer.gather(ready.exits.samples, 64, 5, lambda piece, block: ids.append(block.copy()))

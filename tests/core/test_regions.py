@@ -2,7 +2,7 @@
 
 import numpy as np
 from lightpanes.core.bake.steps import prepare
-from lightpanes.core.panes.regions import make_regions, rooms, signature, split_regions
+from lightpanes.core.panes.regions import LARGEST, make_regions, rooms, signature, split_regions
 from lightpanes.core.panes.training import sun_lamps
 from lightpanes.core.surface import make_patches
 
@@ -69,7 +69,7 @@ def test_no_region_is_large():
     found = split_regions(start, points, np.ones(600), field, 40, 4)
     sizes = np.bincount(found)
     assert len(sizes) == 40 and sizes.min() > 0
-    assert sizes.max() <= 2 * 600 / 40
+    assert sizes.max() <= LARGEST * 600 / 40
     assert sizes[np.unique(found[points[:, 0] < 0.1])].mean() < sizes.mean()
 
 
@@ -98,7 +98,7 @@ def test_training_suns_reach_in():
     made = scene(*parts, materials=(GREY,), lights=[lamp((2, 1, 2), 3.0, kind="SUN")])
     ready = prepare(made, quick(entries=300, lamps=60))
     suns = sun_lamps(made, ready.places, ready.bvh, 40, 3)
-    assert 3 < len(suns) <= 40
+    assert len(suns) == 40
     inside = ready.places.position[:, 1] > 0.01
     places = ready.places.take(inside & (ready.places.normal[:, 1] < 0.99))
     for sun in suns:

@@ -32,9 +32,9 @@ def test_no_step_where_charts_meet_on_a_smooth_surface(number):
     left = bilinear(image, np.stack([np.full(300, 0.02), height], 1)).mean(axis=1)
     right = bilinear(image, np.stack([np.full(300, 0.98), height], 1)).mean(axis=1)
     step = (left - right) / (0.5 * (left + right))
-    # a step shows when neighbours share it; over four texels most of the grain is gone
+    assert np.abs(step).mean() < 0.02
+    # single texels have grain as well; a step shows when neighbours share it, over four texels
     shown = np.abs(np.convolve(step, np.full(18, 1 / 18), "valid"))
-    assert shown.mean() < 0.02
     assert np.quantile(shown, 0.95) < 0.04
 
 
