@@ -1,4 +1,4 @@
-"""Build the sample scenes: python sample_blends/build.py [cornell] [pillars] [two_rooms] [stairs].
+"""Build the sample scenes: python sample_blends/build.py [cornell] [pillars] [two_rooms] [stairs] [atrium].
 
 Build them with bpy 4.5, so that every supported Blender reads them.
 """
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from atrium import atrium
 from kit import Shape, animate, camera, diffuse, lamp, principled, save, start
 from mathutils import Matrix, Vector
 
@@ -436,7 +437,7 @@ def _flight(name, material, count, run, rise, width, place, thickness=0.16, hang
     return shape.build(name, material, place=place)
 
 
-SAMPLES = {"cornell": cornell, "pillars": pillars, "two_rooms": two_rooms, "stairs": stairs}
+SAMPLES = {"cornell": cornell, "pillars": pillars, "two_rooms": two_rooms, "stairs": stairs, "atrium": atrium}
 
 
 def main(names: list[str]) -> None:
@@ -447,7 +448,14 @@ def main(names: list[str]) -> None:
         SAMPLES[name]()
         path = HERE / f"{name}.blend"
         save(path)
-        print(f"{path.name}: {path.stat().st_size / 1024:.0f} kB")
+        print(f"{path.name}: {path.stat().st_size / 1024:.0f} kB, {_triangles():,} triangles")
+
+
+def _triangles() -> int:
+    """How many triangles all modifiers make of the scene."""
+    graph = bpy.context.evaluated_depsgraph_get()
+    meshes = [obj.evaluated_get(graph).data for obj in bpy.context.scene.objects if obj.type == "MESH"]
+    return sum(len(polygon.vertices) - 2 for mesh in meshes for polygon in mesh.polygons)
 
 
 if __name__ == "__main__":

@@ -34,6 +34,11 @@ class SurfaceSamples:
             self.position[rows], self.normal[rows], self.flat[rows], self.triangle[rows], self.weights[rows]
         )
 
+    def join(self, more: SurfaceSamples) -> SurfaceSamples:
+        """These samples, then `more`."""
+        names = self.__dataclass_fields__
+        return SurfaceSamples(*(np.concatenate([getattr(self, n), getattr(more, n)]) for n in names))
+
     def flipped(self, back: np.ndarray) -> SurfaceSamples:
         """The same places, seen from the other side where `back` (n,) bool is set."""
         sign = np.where(back, -1, 1).astype(np.float32)[:, None]

@@ -81,7 +81,7 @@ class Gatherer:
         def chunk(piece: slice):
             origins = np.ascontiguousarray(points.position[piece] + points.flat[piece] * np.float32(self.offset))
             count = len(origins)
-            turn = self._turns(points.normal[piece], piece, seed)
+            turn = turns(points.normal[piece], piece, seed).reshape(3, -1)
             flat = np.ascontiguousarray(points.flat[piece].T) if smooth else None
             pattern = cosine_hemisphere(hammersley_points(rays, seed + 7919 * (1 + piece.start // CHUNK)))
             for start in range(0, rays, ROWS):
@@ -114,16 +114,19 @@ class Gatherer:
         )
         return bare & (hits.triangle >= 0), hits.distance
 
-    @staticmethod
-    def _turns(normal, piece, seed):
-        """(3, 3m): each point's frame, turned about its normal, so that pattern @ turns are directions."""
-        tangent, bitangent = frame(normal)
-        angle = (2 * np.pi * hash_uniform(np.arange(piece.start, piece.stop), 5, seed)).astype(np.float32)[:, None]
-        cos, sin = np.cos(angle), np.sin(angle)
-        return np.stack([tangent * cos + bitangent * sin, bitangent * cos - tangent * sin, normal]).reshape(3, -1)
+    def land(
+        self, origins: np.ndarray, directions: np.ndarray, flat: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Ids (n,) int32 of what rays land on, and how far off (n,) float32, m, infinite in the sky.
 
-    def _land(self, origins, directions, flat):
-        triangle = self.bvh.closest(origins, directions)
+        flat: (3, n) float32 geometric normals, without which no ray is below the surface.
+        """
+        hits = self.bvh.hits(origins, directions)
+        return self._land(origins, directions, flat, hits.triangle), np.where(hits.triangle < 0, np.inf, hits.distance)
+
+    def _land(self, origins, directions, flat, triangle=None):
+        if triangle is None:
+            triangle = self.bvh.closest(origins, directions)
         if self._any_clear:
             triangle = self._pass_clear(origins, directions, triangle)
         ids = self._front.take(triangle, mode="wrap")
@@ -166,6 +169,15 @@ class Gatherer:
             rows, start, ahead = rows[on], start[on] + ahead[on] * step, ahead[on]
         triangle[rows] = -1
         return triangle
+
+
+def turns(normal: np.ndarray, piece: slice, seed: int) -> np.ndarray:
+    """(3, n, 3) float32: frames about normals (n, 3), each turned by its own angle, so that pattern @ frame are
+    directions. piece: the points' numbers, from which the angles come."""
+    tangent, bitangent = frame(normal)
+    angle = (2 * np.pi * hash_uniform(np.arange(piece.start, piece.stop), 5, seed)).astype(np.float32)[:, None]
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.stack([tangent * cos + bitangent * sin, bitangent * cos - tangent * sin, normal])
 
 
 def sky_bin(directions: np.ndarray, bins: tuple[int, int]) -> np.ndarray:

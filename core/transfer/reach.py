@@ -6,6 +6,9 @@ back of a sheet, which light reaches, from the inside of a box, which it does no
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..rays import Bvh, Hits, Transmission, chunks, in_threads
@@ -17,10 +20,33 @@ PARTICLES = 32_768
 BOUNCES = 12
 
 
+@dataclass(frozen=True)
+class Vertices:
+    """Where particles of one bounce met surfaces. piece: (n,) int of the patches; behind: (n,) bool, on its reverse.
+    place, normal: (n, 3) float32, the normal on the particle's side."""
+
+    piece: np.ndarray
+    behind: np.ndarray
+    place: np.ndarray
+    normal: np.ndarray
+
+
 def flood(scene: Scene, patches: Patches, bvh: Bvh, offset: float, seed: int = 0) -> np.ndarray:
     """(2 × patches,) int64 particles that met each side of each patch: row 2p its front, 2p + 1 its back."""
-    origins, directions, guess = _sources(scene, patches, offset, seed)
-    hits_of_side = np.zeros(2 * len(patches), np.int64)
+    found = np.zeros(2 * len(patches), np.int64)
+    for met in walk(scene, patches, bvh, offset, seed):
+        found += np.bincount(2 * patches.patch[met.piece] + met.behind, minlength=len(found))
+    return found
+
+
+def walk(
+    scene: Scene, patches: Patches, bvh: Bvh, offset: float, seed: int = 0, places: np.ndarray | None = None
+) -> Iterator[Vertices]:
+    """The particles' paths, bounce by bounce.
+
+    places: (m, 3) m, where lamps may stand beside those of the scene.
+    """
+    origins, directions, guess = _sources(scene, patches, offset, seed, places)
     clear = Transmission(scene).see_through[patches.parent]
     cross = np.cross(patches.corners[:, 1] - patches.corners[:, 0], patches.corners[:, 2] - patches.corners[:, 0])
     # float64: millimetre scenes
@@ -37,9 +63,9 @@ def flood(scene: Scene, patches: Patches, bvh: Bvh, offset: float, seed: int = 0
         if guess and bounce == 0:
             # a floor under a box sees nothing but the box's inside
             met, piece, ahead, behind = (v[~behind] for v in (met, piece, ahead, behind))
-        hits_of_side += np.bincount(2 * patches.patch[piece] + behind, minlength=len(hits_of_side))
         place = origins[met] + ahead * hits.distance[met, None]
         normal = np.where(behind[:, None], -flat[piece], flat[piece])
+        yield Vertices(piece, behind, place, normal)
         index = np.arange(len(met))
         spin = np.stack([hash_uniform(index, 3 * bounce + k, seed + 61) for k in (0, 1)], 1)
         local = cosine_hemisphere(spin)
@@ -48,7 +74,6 @@ def flood(scene: Scene, patches: Patches, bvh: Bvh, offset: float, seed: int = 0
         passes = clear[piece] & (hash_uniform(index, 3 * bounce + 2, seed + 61) < 0.5)
         directions = np.where(passes[:, None], ahead, scattered).astype(np.float32)
         origins = place + np.where(passes[:, None], -normal, normal) * np.float32(offset)
-    return hits_of_side
 
 
 def _hits(bvh, origins, directions):
@@ -57,7 +82,7 @@ def _hits(bvh, origins, directions):
     return Hits(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
-def _sources(scene, patches, offset, seed):
+def _sources(scene, patches, offset, seed, places=None):
     """Origins and directions (n, 3) float32 of the flood's particles, and whether they are but a guess."""
     parts = []
     lamps = [light for light in scene.lights if light.kind != "SUN"]
@@ -66,6 +91,9 @@ def _sources(scene, patches, offset, seed):
         if light.kind == "AREA":
             around = around * np.where(around @ light.direction < 0, -1, 1)[:, None]
         parts.append((np.tile(light.position, (len(around), 1)), around))
+    if places is not None and len(places):
+        around = spiral(max(PARTICLES // len(places), 64))
+        parts.append((np.repeat(places, len(around), axis=0), np.tile(around, (len(places), 1))))
     if (scene.sky is not None and not scene.sky.is_black) or any(light.kind == "SUN" for light in scene.lights):
         inward = spiral(PARTICLES)
         tangent, bitangent = frame(inward)

@@ -1,4 +1,4 @@
-"""The sample scenes are what they say: small, animated, lit from free air, seen from the front."""
+"""The sample scenes are what they say: small files, animated, lit from free air, seen from the front."""
 
 from pathlib import Path
 
@@ -10,8 +10,20 @@ from mathutils import Matrix, Vector  # noqa: E402
 from mathutils.bvhtree import BVHTree  # noqa: E402
 
 FOLDER = Path(__file__).resolve().parents[2] / "sample_blends"
-SAMPLES = {"cornell": (4_000, 24_000), "pillars": (3_200, 3_450), "two_rooms": (500, 5_000), "stairs": (1_000, 5_000)}
-LAMPS = {"cornell": {"POINT"}, "pillars": {"POINT", "SPOT"}, "two_rooms": {"POINT", "SUN"}, "stairs": {"AREA"}}
+SAMPLES = {
+    "cornell": (4_000, 24_000),
+    "pillars": (3_200, 3_450),
+    "two_rooms": (500, 5_000),
+    "stairs": (1_000, 5_000),
+    "atrium": (60_000, 120_000),
+}
+LAMPS = {
+    "cornell": {"POINT"},
+    "pillars": {"POINT", "SPOT"},
+    "two_rooms": {"POINT", "SUN"},
+    "stairs": {"AREA"},
+    "atrium": {"POINT", "AREA", "SUN"},
+}
 
 
 @pytest.fixture(params=SAMPLES)

@@ -18,6 +18,7 @@ from lightpanes.core.bake.steps import prepare
 from lightpanes.core.panes.exits import gather_panes
 from lightpanes.core.rays import CHUNK, chunks, in_threads
 from lightpanes.core.sampling import cosine_hemisphere, hammersley_points
+from lightpanes.core.transfer.gather import turns
 
 from . import harness, scenes
 
@@ -57,8 +58,8 @@ def gather_row(name: str) -> dict:
     for piece in chunks(len(exits)):
         origins = np.ascontiguousarray(exits.position[piece] + exits.flat[piece] * np.float32(gatherer.offset))
         pattern = cosine_hemisphere(hammersley_points(RAYS, seed + 7919 * (1 + piece.start // CHUNK)))
-        turns = gatherer._turns(exits.normal[piece], piece, seed)
-        rays.append((origins, (pattern.astype(np.float32) @ turns).reshape(RAYS, len(origins), 3)))
+        frames = turns(exits.normal[piece], piece, seed).reshape(3, -1)
+        rays.append((origins, (pattern.astype(np.float32) @ frames).reshape(RAYS, len(origins), 3)))
 
     def embree():
         in_threads(lambda part: [made.bvh.closest(part[0], row) for row in part[1]], rays)

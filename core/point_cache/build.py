@@ -1,0 +1,142 @@
+"""From a scene to its point set: a coarse even set, a guide measured on it, and the set that the guide asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..rays import Bvh
+from ..scene import Scene
+from ..surface import Patches, SurfaceSamples
+from ..surface.patches import bisect
+from . import guides
+from .darts import PACKING, Darts, Fragments, throw
+from .points import PointSet
+from .sources import Sources, flood_sources, thin_out
+
+COARSE = (6_000, 24_000)
+"""Least and most points of the coarse set; between them, as many as are wanted in the end."""
+
+RAYS = 64
+"""Rays for the ambient occlusion of a point."""
+
+GROWTH = 4
+"""Rounds in which points that were found help to find more."""
+
+FINEST, LARGEST = 1 / 4, 3.0
+"""Least and most radius, over that of as many even points."""
+
+
+@dataclass
+class Ground:
+    """What all point sets of a scene share.
+
+    coarse: an even set where light gets, its radius (m), its openness and harmonic mean distance (m), and the
+    fragments of the surface with NaN radius where none of it lies.
+    """
+
+    scene: Scene
+    bvh: Bvh
+    offset: float
+    coarse: SurfaceSamples
+    size: float
+    ao: np.ndarray
+    harmonic: np.ndarray
+    fragments: Fragments
+    sources: Sources
+
+    @property
+    def reach(self) -> float:
+        """m, within which things occlude."""
+        return guides.REACH * self.scene.extent
+
+
+def survey(
+    scene: Scene,
+    patches: Patches,
+    bvh: Bvh,
+    offset: float,
+    seed: int = 0,
+    places: np.ndarray | None = None,
+    seen: SurfaceSamples | None = None,
+    count: int = COARSE[1],
+) -> Ground:
+    """Throw the coarse set from the flood's sources, and look around from it.
+
+    places: (m, 3) where lamps may stand beside those of the scene, m. seen: more places that light reaches, whatever
+    lamps there are now; with them, lamps may go anywhere. count: of the coarse set, about, held within COARSE.
+    """
+    size = float(np.sqrt(PACKING * patches.area.sum() / np.clip(count, *COARSE)))
+    triangles = np.unique(patches.parent)
+    corners, parent, weights = bisect(scene.positions[scene.triangles[triangles]], 3 * size)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = 0.5 * np.linalg.norm(cross.astype(np.float64), axis=1)
+    whole = np.full(2 * len(parent), size, np.float32)
+    fragments = Fragments(triangles[parent].astype(np.int32), weights, area, whole)
+    place, normal = flood_sources(scene, patches, bvh, offset, size, seed, places)
+    if seen is not None:
+        more = thin_out(seen.position, seen.flat, size)
+        place, normal = np.concatenate([place, more[0]]), np.concatenate([normal, more[1]])
+    sources = Sources(place, normal, bvh, 1.5 * size, offset)
+    if seen is None:
+        found = _grow(scene, fragments, sources, bvh, size, offset, seed)
+    else:
+        found = throw(scene, fragments, lambda s: sources.see(s.position, s.flat), seed)
+    coarse = found.samples
+    sources = Sources(coarse.position, coarse.flat, bvh, 1.5 * size, offset)
+    ground = Ground(scene, bvh, offset, coarse, size, np.ones(0), np.ones(0), fragments, sources)
+    ground.ao, ground.harmonic = guides.surroundings(coarse, bvh, ground.reach, RAYS, offset, seed + 1)
+    return ground
+
+
+def _grow(scene, fragments, sources, bvh, size, offset, seed) -> Darts:
+    """The coarse set; points that were found stand by as sources until they find no more."""
+    found = throw(scene, fragments, lambda s: sources.see(s.position, s.flat), seed)
+    for _ in range(GROWTH):
+        before = len(found.radius)
+        place = np.concatenate([sources.place, found.samples.position])
+        normal = np.concatenate([sources.normal, found.samples.flat])
+        sources = Sources(*thin_out(place, normal, size), bvh, 1.5 * size, offset)
+        found = throw(scene, fragments, lambda s, by=sources: by.see(s.position, s.flat), seed)
+        if len(found.radius) <= 1.01 * before:
+            break
+    return found
+
+
+def make_points(
+    ground: Ground,
+    radius: np.ndarray,
+    count: int,
+    seed: int = 0,
+    tick: Callable[[int], None] | None = None,
+    **how,
+) -> PointSet:
+    """About `count` points whose radius follows `radius` (coarse points,) in any unit. how: as for `throw`."""
+    scene, size = ground.scene, ground.size
+    even = size * np.sqrt(len(ground.coarse) / max(count, 1))
+    wanted = guides.limit(radius * np.float32(even / np.exp(np.log(radius).mean())), ground.coarse, guides.NEAR * size)
+    fragments = ground.fragments
+    asked = _at_fragments(ground, wanted)
+    fragments = Fragments(fragments.parent, fragments.weights, fragments.area, asked)
+    fragments = fragments.scaled(count, FINEST * even, LARGEST * even)
+    darts = throw(scene, fragments, lambda s: ground.sources.see(s.position, s.flat), seed, tick=tick, **how)
+    ao, _ = guides.surroundings(darts.samples, ground.bvh, ground.reach, RAYS, ground.offset, seed + 2)
+    return PointSet(darts.samples, darts.radius, ao, darts.back)
+
+
+def _at_fragments(ground, radius):
+    """(2 f,) float32 radius on each side of each fragment, NaN where light does not get."""
+    scene, parent = ground.scene, ground.fragments.parent
+    middle = np.einsum("nkc,ncd->nd", ground.fragments.weights, scene.positions[scene.triangles[parent]]) / 3
+    cross = scene.triangle_cross()[parent]
+    flat = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30)
+    near = guides.NEAR * ground.size
+    result = guides.spread(radius, ground.coarse, near, middle, flat).reshape(-1)
+    # a wire that no coarse dart hit: its own look, with the radius of whatever is near
+    lost = np.flatnonzero(np.isnan(result))
+    side = np.where(lost % 2, -1, 1).astype(np.float32)[:, None] * flat[lost // 2]
+    seen = ground.sources.see(middle[lost // 2], side)
+    result[lost[seen]] = radius.min(initial=np.inf)
+    return result

@@ -1,0 +1,231 @@
+"""Dart throwing: a Poisson disk set on the surface (Bikker & Reijerse, section 3), the same for any batch size.
+
+A dart's number gives its place, by hashing, and its priority: the set is what throwing the darts one by one gives,
+however many are handled together. Darts fall on a fragment of the surface in proportion to its area over the square of
+the radius there, since elsewhere most would be thrown away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..sampling import hash_uint32, hash_uniform
+from ..scene import Scene
+from ..surface import SurfaceSamples, sample_triangles
+from .grid import LevelGrid, in_chunks
+
+PACKING = 0.696
+"""Points per r² of area when no more fit: random discs of radius r/2 cover 0.547 (Feder 1980)."""
+
+DARTS = 8
+"""Darts for each wanted point."""
+
+LIKE = 0.5
+"""Cosine of the angle between normals up to which points keep their distance."""
+
+FLAT = 0.5
+"""Points whose connection rises more than this over the surface, relative to its length, lie on different sheets."""
+
+WINDOW = 16_384
+"""Darts over which the hit rate is judged."""
+
+HIT_RATE = 0.01
+"""Below this part of darts that stick, the surface counts as full."""
+
+
+@dataclass(frozen=True)
+class Fragments:
+    """Both sides of pieces of the surface: side 2k is piece k's front, 2k + 1 its back.
+
+    parent: (f,) int32 triangle of the scene; weights: (f, 3, 3) float32 of its corners in the parent; area: (f,)
+    float64 m². radius: (2 f,) float32 m, NaN on sides without points.
+    """
+
+    parent: np.ndarray
+    weights: np.ndarray
+    area: np.ndarray
+    radius: np.ndarray
+
+    def expected(self) -> float:
+        """Points that fit."""
+        return float(PACKING * self.density().sum())
+
+    def density(self) -> np.ndarray:
+        """(2 f,) float64: area over the square of the radius, 0 on sides without points."""
+        return np.where(np.isfinite(self.radius), np.repeat(self.area, 2) / self.radius.astype(np.float64) ** 2, 0)
+
+    def scaled(self, count: int, least: float, most: float) -> Fragments:
+        """The radii times one number such that about `count` points fit, within [least, most] m."""
+        low, high = 1e-12, 1e12
+        # bisection: the clamps make the count anything but a power of the scale
+        for _ in range(80):
+            scale = np.sqrt(low * high)
+            trial = self._with(np.clip(self.radius * np.float32(scale), least, most))
+            low, high = (scale, high) if trial.expected() > count else (low, scale)
+        return trial
+
+    def _with(self, radius):
+        return Fragments(self.parent, self.weights, self.area, radius.astype(np.float32))
+
+
+@dataclass(frozen=True)
+class Darts:
+    """What stuck. samples: (n) places; radius: (n,) float32 m; back: (n,) bool; number: (n,) int64 of each dart, in
+    order; thrown: how many were thrown."""
+
+    samples: SurfaceSamples
+    radius: np.ndarray
+    back: np.ndarray
+    number: np.ndarray
+    thrown: int
+
+
+def throw(
+    scene: Scene,
+    fragments: Fragments,
+    reached: Callable[[SurfaceSamples], np.ndarray],
+    seed: int = 0,
+    count: int | None = None,
+    batch: int = 65_536,
+    tick: Callable[[int], None] | None = None,
+) -> Darts:
+    """Throw darts until the surface is full, or `count` stick.
+
+    reached(samples): (n,) bool, whether light gets there. batch: darts handled together; it changes nothing but time.
+    tick(darts thrown) follows each batch.
+    """
+    density = fragments.density()
+    limit = int(DARTS * PACKING * density.sum()) + 64
+    # float64: the smallest fragments' shares are below float32's steps
+    total = np.cumsum(density)
+    low = scene.positions.min(axis=0)
+    kept: list[tuple[SurfaceSamples, np.ndarray, np.ndarray, np.ndarray]] = []
+    stuck_in = np.zeros(-(-limit // WINDOW) + 1, np.int64)
+    grid, position, normal, radius = (
+        LevelGrid(low).fill(np.zeros((0, 3), np.float32), np.zeros(0, np.float32)),
+        *_none(),
+    )
+    at, stuck = 0, 0
+    while at < limit and total[-1] > 0:
+        number = np.arange(at, min(at + batch, limit))
+        samples, r, back = _place(scene, fragments, total, number, seed)
+        free = np.flatnonzero(~_conflicts(grid, position, normal, radius, samples, r))
+        free = free[reached(samples.take(free))]
+        chosen = free[first_come(samples.take(free), r[free], low)]
+        end = _end(stuck_in, number[chosen], at + len(number), limit)
+        chosen = chosen[number[chosen] < end]
+        if count is not None:
+            chosen = chosen[: count - stuck]
+        kept.append((samples.take(chosen), r[chosen], back[chosen], number[chosen]))
+        stuck += len(chosen)
+        at += len(number)
+        if tick is not None:
+            tick(len(number))
+        if end < at or (count is not None and stuck >= count):
+            break
+        position = np.concatenate([position, kept[-1][0].position])
+        normal = np.concatenate([normal, kept[-1][0].normal])
+        radius = np.concatenate([radius, kept[-1][1]])
+        grid.fill(position, radius)
+    return _gathered(kept, at)
+
+
+def _none():
+    return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
+
+
+def _gathered(kept, thrown):
+    if not kept:
+        empty = np.zeros((0, 3), np.float32)
+        nothing = SurfaceSamples(empty, empty, empty, np.zeros(0, np.int32), empty)
+        return Darts(nothing, np.zeros(0, np.float32), np.zeros(0, bool), np.zeros(0, np.int64), thrown)
+    samples = kept[0][0]
+    for part in kept[1:]:
+        samples = samples.join(part[0])
+    return Darts(samples, *(np.concatenate([k[i] for k in kept]) for i in (1, 2, 3)), thrown)
+
+
+def _end(stuck_in, number, at, limit):
+    """The dart before which throwing ends: the first window, complete by now, in which too few stuck."""
+    stuck_in += np.bincount(number // WINDOW, minlength=len(stuck_in))
+    poor = np.flatnonzero(stuck_in[: at // WINDOW] < HIT_RATE * WINDOW)
+    return (int(poor[0]) + 1) * WINDOW if len(poor) else limit
+
+
+def _place(scene, fragments, total, number, seed):
+    """Places, radii and sides of darts, each from its number alone."""
+    # 48 random bits: there may be more fragments than 24 bits tell apart
+    fine = hash_uint32(number, 0, seed).astype(np.float64) * 2.0**-32 + hash_uint32(number, 1, seed) * 2.0**-64
+    side = np.searchsorted(total, fine * total[-1], side="right")
+    side = np.minimum(side, int(np.flatnonzero(total < total[-1])[-1]) + 1 if total[0] < total[-1] else 0)
+    root, across = np.sqrt(hash_uniform(number, 2, seed)), hash_uniform(number, 3, seed)
+    inside = np.stack([1 - root, root * (1 - across), root * across], 1).astype(np.float32)
+    # off the very edge, where a wall may stand
+    inside = np.float32(0.999) * inside + np.float32(0.001 / 3)
+    radius = fragments.radius[side]
+    weights = np.einsum("nk,nkc->nc", inside, fragments.weights[side // 2])
+    back = side % 2 == 1
+    return sample_triangles(scene, fragments.parent[side // 2], weights).on_side(scene, back), radius, back
+
+
+def conflict(a: tuple, b: tuple, slack: float = 1.0) -> np.ndarray:
+    """(m,) bool: pairs on one surface that are closer than the smaller radius; a, b: (position, normal, radius)."""
+    apart = b[0] - a[0]
+    distance2 = np.einsum("nd,nd->n", apart, apart)
+    near = distance2 < (slack * np.minimum(a[2], b[2])) ** 2
+    near &= np.einsum("nd,nd->n", a[1], b[1]) > LIKE
+    rise = np.abs(np.einsum("nd,nd->n", apart, a[1] + b[1])) / 2
+    return near & (rise <= FLAT * np.sqrt(distance2))
+
+
+def _conflicts(grid, position, normal, radius, samples, r):
+    """(n,) bool: whether a point that is there already is too near."""
+    found = np.zeros(len(r), bool)
+    if not len(radius):
+        return found
+
+    def part(s):
+        here = samples.position[s], samples.normal[s], r[s]
+        query, point = grid.pairs(here[0], here[2])
+        bad = conflict(tuple(v[query] for v in here), (position[point], normal[point], radius[point]))
+        found[s][query[bad]] = True
+
+    in_chunks(part, len(r))
+    return found
+
+
+def first_come(samples: SurfaceSamples, r: np.ndarray, low: np.ndarray) -> np.ndarray:
+    """(m,) int64: of darts in the order of their rows, those that stick: each whose earlier rivals do not.
+
+    r: (n,) m. low: (3,) least coordinates, m.
+
+    Rounds of Luby's kind: all darts without an undecided earlier rival stick at once; their later rivals fall.
+    """
+    count = len(r)
+    if not count:
+        return np.zeros(0, np.int64)
+    grid = LevelGrid(low).fill(samples.position, r)
+
+    def part(s):
+        query, point = grid.pairs(samples.position[s], r[s])
+        query = query + s.start
+        earlier = point < query
+        query, point = query[earlier], point[earlier]
+        pick = lambda rows: (samples.position[rows], samples.normal[rows], r[rows])  # noqa: E731
+        bad = conflict(pick(query), pick(point))
+        return query[bad], point[bad]
+
+    parts = in_chunks(part, count)
+    late, early = (np.concatenate([p[k] for p in parts]) for k in (0, 1))
+    open_, stuck = np.ones(count, bool), np.zeros(count, bool)
+    while open_.any():
+        waits = np.zeros(count, bool)
+        waits[late[open_[early]]] = True
+        now = open_ & ~waits
+        stuck |= now
+        open_ &= waits
+        open_[late[now[early]]] = False
+    return np.flatnonzero(stuck)

@@ -1,0 +1,178 @@
+"""What steers the points' density: a radius for every place, from a coarse set of points.
+
+The paper uses ambient occlusion and names its first derivative as future work (Bikker & Reijerse, sections 3 and 7).
+Ward et al. (1988) use the harmonic mean distance. The default asks lamps: minimising Σ r² g² at a fixed number of
+points, with g the relative gradient of what lamps make, gives r ∝ g^-½; half of that and half of the harmonic mean
+distance keeps dark corners from starving: r ∝ (Rh / g)^¼.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..rays import Bvh, chunks, in_threads, product3
+from ..sampling import cosine_hemisphere, frame, hammersley_points, hash_uniform
+from ..surface import SurfaceSamples
+from .grid import LevelGrid, in_chunks
+from .points import PointSet
+
+REACH = 0.15
+"""Distance within which things occlude, over the scene's extent."""
+
+RATIO = 12.0
+"""Largest radius over the smallest."""
+
+SLOPE = 0.5
+"""Growth of the radius with distance, at most."""
+
+NEAR = 1.5
+"""Radii of the coarse set within which it tells about a place."""
+
+
+def surroundings(
+    samples: SurfaceSamples, bvh: Bvh, reach: float, rays: int, offset: float, seed: int = 0,
+    tick: Callable[[int], None] | None = None,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Openness and harmonic mean distance, (n,) float32 each, from `rays` cosine rays.
+
+    Openness in [0, 1] is ambient occlusion as it is shown: the part of the rays that meet nothing within `reach` m,
+    those that meet something counting by how far off it is.
+    """
+    ao, harmonic = np.empty(len(samples), np.float32), np.empty(len(samples), np.float32)
+
+    def part(s):
+        tangent, bitangent = frame(samples.normal[s])
+        angle = np.float32(2 * np.pi) * hash_uniform(np.arange(s.start, s.stop), 5, seed)[:, None]
+        cos, sin = np.cos(angle), np.sin(angle)
+        axes = np.stack([tangent * cos + bitangent * sin, bitangent * cos - tangent * sin, samples.normal[s]])
+        axes = axes.reshape(3, -1)
+        origins = np.ascontiguousarray(samples.position[s] + samples.flat[s] * np.float32(offset))
+        pattern = cosine_hemisphere(hammersley_points(rays, seed + s.start)).astype(np.float32)
+        open_, inverse = np.zeros(len(origins), np.float32), np.zeros(len(origins), np.float32)
+        far = np.full(len(origins), reach, np.float32)
+        for row in pattern:
+            distance = bvh.hits(origins, product3(row[None], axes).reshape(-1, 3), far).distance
+            part_open = np.minimum(distance / np.float32(reach), 1)
+            open_ += part_open
+            inverse += 1 / np.maximum(part_open, np.float32(1e-3))
+        ao[s] = open_ / rays
+        harmonic[s] = np.float32(reach) * rays / inverse
+        if tick is not None:
+            tick(rays * len(origins))
+
+    in_threads(part, chunks(len(samples), 4096))
+    return ao, harmonic
+
+
+def uniform(samples: SurfaceSamples) -> np.ndarray:
+    """(n,) float32: the same radius everywhere."""
+    return np.ones(len(samples), np.float32)
+
+
+def by_occlusion(ao: np.ndarray, ratio: float = RATIO) -> np.ndarray:
+    """(n,) float32: the paper's radius, between a least and a most by ambient occlusion (n,) in [0, 1]."""
+    return (1 / ratio + (1 - 1 / ratio) * ao).astype(np.float32)
+
+
+def by_occlusion_gradient(ao: np.ndarray, samples: SurfaceSamples, size: float) -> np.ndarray:
+    """(n,) float32: the paper's future work: small where ambient occlusion changes, and where it is strong.
+
+    size: m, within which neighbours tell the change.
+    """
+    grid, radius = _ball_grid(samples.position, size)
+
+    def part(s):
+        query, point = grid.pairs(samples.position[s], radius[s])
+        query = query + s.start
+        keep = _alike(samples, query, point, size)
+        query, point = query[keep], point[keep]
+        apart = np.maximum(np.linalg.norm(samples.position[point] - samples.position[query], axis=1), 1e-3 * size)
+        steep = np.abs(ao[point] - ao[query]) / apart
+        count = np.bincount(query - s.start, minlength=s.stop - s.start)
+        return np.bincount(query - s.start, steep, s.stop - s.start) / np.maximum(count, 1)
+
+    change = np.concatenate(in_chunks(part, len(ao))).astype(np.float32) * np.float32(size)
+    return by_occlusion(ao) / np.sqrt(1 + change / max(float(change.mean()), 1e-9))
+
+
+def by_lamps(harmonic: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """(n,) float32: (Rh / g)^¼. harmonic: (n,) m. gradient: (n,) 1/m, root mean square over lamps of |∇E| over the
+    mean of E."""
+    floor = 1e-3 * max(float(gradient.max(initial=0)), 1e-20)
+    return (harmonic / np.maximum(gradient, floor)) ** np.float32(0.25)
+
+
+def spread(
+    values: np.ndarray, known: SurfaceSamples, size: float, position: np.ndarray, normal: np.ndarray
+) -> np.ndarray:
+    """(q, 2) float32 `values` (n,) of `known` on both sides of places (q, 3) with normals (q, 3), by the logarithms'
+    mean over those within `size` m that face alike; NaN where there are none."""
+    grid, _ = _ball_grid(known.position, size)
+    log = np.log(values).astype(np.float32)
+
+    def part(s):
+        count = s.stop - s.start
+        query, point = grid.pairs(position[s], np.full(count, size, np.float32))
+        apart = known.position[point] - position[s][query]
+        near = 1 - np.einsum("nd,nd->n", apart, apart) / np.float32(size * size)
+        keep = near > 0
+        query, point, near = query[keep], point[keep], near[keep]
+        facing = np.einsum("nd,nd->n", known.flat[point], normal[s][query])
+        weight = near * np.maximum(np.abs(facing) - np.float32(0.3), 0)
+        side = 2 * query + (facing < 0)
+        total = np.bincount(side, weight, 2 * count)
+        with np.errstate(invalid="ignore"):
+            return np.exp(np.bincount(side, weight * log[point], 2 * count) / total).reshape(-1, 2)
+
+    return np.concatenate(in_chunks(part, len(position)) or [np.zeros((0, 2))]).astype(np.float32)
+
+
+def nearest_radius(points: PointSet, position: np.ndarray) -> np.ndarray:
+    """(q,) float32 m: the least radius of the points within whose own radius a place (q, 3) is, whichever way they
+    face; where there are none, the least of all."""
+    least = np.full(len(position), np.inf, np.float32)
+    grid, reach = _ball_grid(points.position, float(np.median(points.radius)))
+    for s in chunks(len(position), 16_384):
+        query, point = grid.pairs(position[s], np.full(s.stop - s.start, reach[0], np.float32))
+        np.minimum.at(least[s], query, points.radius[point])
+    return np.where(np.isfinite(least), least, points.radius.min())
+
+
+def limit(radius: np.ndarray, samples: SurfaceSamples, size: float) -> np.ndarray:
+    """(n,) float32: `radius` (n,) m such that it grows by no more than SLOPE times the distance between neighbours
+    within `size` m, and within RATIO of the smallest.
+
+    So points that are near each other have like radii, and small ones announce themselves.
+    """
+    grid, reach = _ball_grid(samples.position, size)
+
+    def part(s):
+        query, point = grid.pairs(samples.position[s], reach[s])
+        query = query + s.start
+        keep = _alike(samples, query, point, size)
+        return query[keep], point[keep]
+
+    parts = in_chunks(part, len(radius))
+    query, point = (np.concatenate([p[k] for p in parts]) if parts else np.zeros(0, np.int64) for k in (0, 1))
+    apart = np.linalg.norm(samples.position[point] - samples.position[query], axis=1)
+    radius = np.minimum(radius, RATIO * radius.min(initial=np.inf)).astype(np.float32)
+    for _ in range(20):
+        before = radius.copy()
+        np.minimum.at(radius, query, radius[point] + np.float32(SLOPE) * apart)
+        if np.allclose(before, radius, rtol=1e-3):
+            break
+    return radius
+
+
+def _ball_grid(position, size):
+    radius = np.full(len(position), size, np.float32)
+    low = position.min(axis=0) if len(position) else np.zeros(3)
+    return LevelGrid(low).fill(position, radius), radius
+
+
+def _alike(samples, query, point, size):
+    apart = samples.position[point] - samples.position[query]
+    near = np.einsum("nd,nd->n", apart, apart) < np.float32(size) ** 2
+    return near & (np.einsum("nd,nd->n", samples.flat[point], samples.flat[query]) > 0.5) & (query != point)
