@@ -53,14 +53,14 @@ def eigenpanes(scene: Scene, settings: Settings, tick: Tick) -> Baked:
     made = bake(scene, settings, lambda p: tick(p.fraction))
     seconds = time.perf_counter() - started
     relighter = Relighter(made.panes(), Tracer(scene))
-    own = made.images["Lightpanes Interpolation"][1]
+    own = made.own
     report = made.report
     return Baked(
         seconds,
         report["entries"],
         report["rays"],
         made.bytes,
-        own > 0,
+        own,
         lambda lights: relighter.relight(lights)[..., :3],
     )
 
@@ -138,7 +138,7 @@ class _Base:
         texels = make_texels(scene, settings.resolution)
         patches = make_patches(scene, plan(scene, settings).entries, seed)
         bvh, tracer = Bvh(patches.corners), Tracer(scene)
-        entries, buried = find_entries(scene, patches, bvh, texels.samples, tracer.offset, seed)
+        entries, buried, _ = find_entries(scene, patches, bvh, texels.samples, tracer.offset, seed)
         use = np.ones(len(texels), bool) if buried.all() else ~buried
         if part is not None:
             use &= part.reshape(-1)[texels.index]

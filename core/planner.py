@@ -6,6 +6,11 @@ from dataclasses import dataclass, replace
 
 from .scene import Scene, SceneError
 
+EXITS = ("auto", "points", "texels")
+
+POINTS_PAY = 6
+"""Rays of texels over those of points at which points begin to be the cheaper exits."""
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -13,8 +18,9 @@ class Settings:
 
     error_target: accepted relative error of indirect irradiance (design, "The error of a bake").
     time_budget: s for the whole bake, 0 for none. resolution: of the atlas, texels a side. seed: of all
-    random numbers. entries, entry_rays, exit_rays, regions, panes, lamps: budgets to use instead of the
-    planner's; None leaves them to it.
+    random numbers. entries, entry_rays, exit_rays, regions, panes, lamps, points, point_rays: budgets to use instead of
+    the planner's; None leaves them to it. exits: where light is gathered, "points" or "texels"; "auto" takes points
+    where they are cheaper.
 
     Raises SceneError for values that make no sense.
     """
@@ -29,6 +35,9 @@ class Settings:
     regions: int | None = None
     panes: int | None = None
     lamps: int | None = None
+    points: int | None = None
+    point_rays: int | None = None
+    exits: str = "auto"
 
     def __post_init__(self):
         if not 1e-3 <= self.error_target <= 1:
@@ -37,7 +46,9 @@ class Settings:
             raise SceneError(f"The time budget is {self.time_budget} s; use 0 for none, or a positive number.")
         if not 16 <= self.resolution <= 8192:
             raise SceneError(f"The resolution is {self.resolution}; use 16 to 8192 texels.")
-        for name in ("entries", "entry_rays", "exit_rays", "regions", "panes", "lamps"):
+        if self.exits not in EXITS:
+            raise SceneError(f"Exits are at {self.exits!r}; use one of {', '.join(EXITS)}.")
+        for name in Budget.__dataclass_fields__:
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise SceneError(f"The budget {name} is {value}; use a positive number, or None for the planner's.")
@@ -45,8 +56,8 @@ class Settings:
 
 @dataclass(frozen=True)
 class Budget:
-    """entries: patches' sides. entry_rays, exit_rays: cosine rays of each. regions, panes: regions and scalar
-    panes of each. lamps: training lamps, two thirds of them near surfaces."""
+    """entries: patches' sides. entry_rays, exit_rays, point_rays: cosine rays of each. regions, panes: regions and
+    scalar panes of each. lamps: training lamps, two thirds of them near surfaces. points: gathered points."""
 
     entries: int
     entry_rays: int
@@ -54,6 +65,8 @@ class Budget:
     regions: int
     panes: int
     lamps: int
+    points: int
+    point_rays: int
 
 
 def plan(scene: Scene, settings: Settings) -> Budget:
@@ -71,6 +84,8 @@ def plan(scene: Scene, settings: Settings) -> Budget:
         regions=_clamp(192 * finer**0.3, 48, 256),
         panes=16 if finer <= 2 else 24,
         lamps=_clamp(1400 * finer**0.5, 400, 4000),
+        points=_clamp(8000 * finer, 1000, 14_000),
+        point_rays=_clamp(512 * finer**0.5, 128, 1024),
     )
     given = {name: value for name in Budget.__dataclass_fields__ if (value := getattr(settings, name)) is not None}
     return replace(budget, **given)
@@ -79,6 +94,14 @@ def plan(scene: Scene, settings: Settings) -> Budget:
 def needs_panes(scene: Scene) -> bool:
     """Whether any lamp may change. A scene without lamps gets panes for those that may come."""
     return not scene.lights or any(light.live for light in scene.lights)
+
+
+def uses_points(settings: Settings, budget: Budget, texels: int, vertices: int) -> bool:
+    """Whether exits are points: where objects are lit at their vertices, and where points need fewer rays, those that
+    find and place them included."""
+    if settings.exits == "auto":
+        return vertices > 0 or texels * budget.exit_rays > POINTS_PAY * budget.points * budget.point_rays
+    return vertices > 0 or settings.exits == "points"
 
 
 def limit_rays(budget: Budget, exits: int, rate: float, left: float) -> Budget:

@@ -42,6 +42,7 @@ class SceneObject:
     """An object or one instance of it.
 
     receives: has a place in the atlas, so its texels are exits.
+    at_vertices: takes its light at its vertices instead, without a place in the atlas.
     casts_shadow: blocks the lamps' shadow rays (Blender's ray visibility, Shadow).
     reflects: seen by diffuse rays (Blender's ray visibility, Diffuse).
     weight: texel density relative to the other objects.
@@ -52,6 +53,7 @@ class SceneObject:
     casts_shadow: bool = True
     reflects: bool = True
     weight: float = 1.0
+    at_vertices: bool = False
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A bake measures itself: what its panes lose, and how much noise its gather left."""
+"""A bake measures itself: what its panes lose, how much noise its gather left, and what points lose between them."""
 
 from __future__ import annotations
 
@@ -8,10 +8,15 @@ from ..panes.exits import gather_panes
 from ..panes.modes import Modes
 from ..panes.weights import PaneWeights
 from ..surface import SurfaceSamples
-from ..transfer import Entries, Gatherer, Transport
+from ..transfer import Entries, Transport
+from .steps import Prepared, own_region
+from .stored import Stored
 
 PROBES = 1536
 """Exits, about, that are gathered twice to measure the noise; as many from each region."""
+
+PROBE_RAYS = 512
+"""Rays of a fresh gather at a texel between points."""
 
 
 def compression_error(
@@ -35,40 +40,56 @@ def compression_error(
     return float(np.mean(np.sqrt(area @ (found - truth) ** 2)[lit] / mean[lit]))
 
 
-def gather_noise(
-    gatherer: Gatherer,
-    exits: SurfaceSamples,
-    starts: np.ndarray,
-    tables: np.ndarray,
-    rays: int,
-    seed: int,
-    weights: PaneWeights,
-    direct: np.ndarray | None,
-) -> float:
-    """Relative RMSE on 4×4-texel blocks that the gather's noise leaves, from exits gathered twice.
+def gather_noise(made: Prepared, seed: int) -> float:
+    """Relative RMSE on 4×4-texel blocks that the gather's noise leaves at texels, from some gathered twice.
 
-    direct: (n, s) irradiance of lamps at the entries; without it the light that no lamp changes is judged. A block
-    averages 16 texels whose noise is independent.
+    A block averages 16 texels whose noise is independent.
     """
-    rows, lengths = [], []
+    starts = made.starts
+    chosen = []
     probes = max(PROBES // (len(starts) - 1), 1)
-    for r in range(len(starts) - 1):
-        count = int(starts[r + 1] - starts[r])
-        chosen = starts[r] + np.unique(np.linspace(0, max(count - 1, 0), min(count, probes)).astype(np.int64))[:count]
-        rows.append(chosen)
-        lengths.append(len(chosen))
-    rows = np.concatenate(rows)
-    some = exits.take(rows)
-    ends = np.concatenate([[0], np.cumsum(lengths)])
-    k = weights.first.shape[0] // (len(starts) - 1)
-    twice = [gather_panes(gatherer, some, ends, tables, rays, seed + salt) for salt in (71, 72)]
-    if direct is None:
-        first, second = (t[:, k : k + 3] for t in twice)
-    else:
-        region = np.repeat(np.arange(len(lengths)), lengths)
-        value = weights.of(np.repeat(direct.mean(axis=1, keepdims=True), 3, axis=1)).reshape(-1, k, 3)[region]
-        first, second = (np.einsum("nk,nkc->nc", t[:, :k], value) for t in twice)
+    for first, count in zip(starts[:-1], np.diff(starts), strict=True):
+        some = np.linspace(0, max(count - 1, 0), min(count, probes)).astype(np.int64)
+        chosen.append(first + np.unique(some)[:count])
+    rows = np.concatenate(chosen)
+    region = np.repeat(np.arange(len(chosen)), [len(c) for c in chosen])
+    some = made.exits.samples.take(rows)
+    first, second = (_fresh(made, some, region, made.budget.exit_rays, seed + salt) for salt in (71, 72))
     mean = 0.5 * float((first + second).mean())
-    if mean <= 0:
-        return 0.0
-    return float(np.sqrt(0.5 * ((first - second) ** 2).mean()) / 4 / mean)
+    return float(np.sqrt(0.5 * ((first - second) ** 2).mean()) / 4 / mean) if mean > 0 else 0.0
+
+
+def interpolation_error(made: Prepared, stored: Stored, seed: int) -> float:
+    """Relative RMSE at single texels of what the points give, their own noise included, against two fresh gathers whose
+    noise cancels out."""
+    places, shown = (made.exits, stored.texels) if len(made.exits) else (made.vertices, stored.vertices)
+    chosen = np.flatnonzero(~shown.orphan)
+    chosen = np.sort(np.random.default_rng(seed).permutation(chosen)[:PROBES])
+    some = places.samples.take(chosen)
+    region = own_region(made, some)
+    order = np.argsort(region, kind="stable")
+    some, region, chosen = some.take(order), region[order], chosen[order]
+    first, second = (_fresh(made, some, region, PROBE_RAYS, seed + salt) for salt in (71, 72))
+    known = np.repeat(np.arange(len(stored.starts) - 1), np.diff(stored.starts))
+    values = _values(made, stored.rows, known)
+    found = type(shown)(shown.point[chosen], shown.weight[chosen]).apply(values)
+    mean = 0.5 * float((first + second).mean())
+    return float(np.sqrt(max(float(((found - first) * (found - second)).mean()), 0)) / mean) if mean > 0 else 0.0
+
+
+def _fresh(made: Prepared, some: SurfaceSamples, region: np.ndarray, rays: int, seed: int) -> np.ndarray:
+    """(n, 3) irradiance of samples, sorted by region, from a gather of their own."""
+    starts = np.concatenate([[0], np.cumsum(np.bincount(region, minlength=made.modes.regions))])
+    rows = gather_panes(made.gatherer, some, starts, made.tables, rays, seed)
+    return _values(made, rows, region)
+
+
+def _values(made, rows, region):
+    """(n, 3) irradiance that rows (n, c) of regions (n,) show under all test lamps at once; without any, that of the
+    light that no lamp changes."""
+    k = made.modes.panes
+    if made.test_direct is None:
+        return rows[:, k : k + 3]
+    light = np.repeat(made.test_direct.mean(axis=1, keepdims=True), 3, axis=1)
+    value = made.weights.of(light).reshape(-1, k, 3)[region]
+    return np.einsum("nk,nkc->nc", rows[:, :k], value)

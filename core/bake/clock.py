@@ -28,6 +28,7 @@ class Clock:
         "Transport": 0.40,
         "Lamps": 0.52,
         "Panes": 0.64,
+        "Points": 0.80,
         "Exits": 0.97,
         "Check": 1.0,
     }

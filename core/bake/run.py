@@ -11,10 +11,11 @@ from ..panes import Panes
 from ..panes.exits import gather_panes, joined, smooth_panes
 from ..planner import Settings, limit_rays
 from ..scene import Scene
-from .check import compression_error, gather_noise
+from .check import compression_error, gather_noise, interpolation_error
 from .clock import Clock, Progress
-from .record import Bake
-from .steps import prepare
+from .record import Bake, point_arrays
+from .steps import Prepared, prepare
+from .stored import Stored, bake_points
 
 
 def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Progress], None] | None = None) -> Bake:
@@ -27,44 +28,26 @@ def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Pro
     settings = settings or Settings()
     clock = Clock(progress)
     made = prepare(scene, settings, clock)
-    exits, starts, tables, seed = made.exits, made.starts, made.tables, settings.seed
-    budget = made.budget
+    seed = settings.seed
     if settings.time_budget:
-        traced = len(made.entries) * budget.entry_rays
+        traced = len(made.entries) * made.budget.entry_rays
         rate = traced / max(clock.seconds["Transport"], 1e-3)
-        budget = limit_rays(budget, len(exits), rate, 0.9 * (settings.time_budget - clock.spent))
-
-    clock.start("Exits", len(exits) * budget.exit_rays)
-    found = gather_panes(made.gatherer, exits.samples, starts, tables, budget.exit_rays, seed + 41, clock.tick)
-    beside = joined(exits)
-    found = smooth_panes(found, exits, starts, beside)
-    k = made.modes.panes
-    fill = exits.fill()
-    steady, first_hit = np.zeros((len(exits), 3), np.float32), None
-    if made.has_steady_light:
-        steady = np.ascontiguousarray(found[:, k : k + 3])
-    if made.has_first_hit:
-        shown = np.concatenate([found[:, k + 3 :], np.zeros((1, 3), np.float32)])[fill]
-        first_hit = shown.reshape(settings.resolution, settings.resolution, 3)
-    panes = Panes(
-        rows=np.ascontiguousarray(found[:, :k]),
-        starts=starts,
-        steady=steady,
-        fill=fill,
-        texel=exits.index,
-        beside=beside,
-        resolution=settings.resolution,
-        surface=made.surface,
-        weights=made.weights,
-    )
+        made.budget = limit_rays(made.budget, len(made.exits), rate, 0.9 * (settings.time_budget - clock.spent))
+    if made.starts is None:
+        stored = bake_points(made, seed, clock)
+        panes, first_hit = _at_points(made, stored)
+    else:
+        stored = None
+        panes, first_hit = _at_texels(made, seed, clock)
 
     clock.start("Check")
     parts = {}
     if made.test_direct is not None:
         parts["panes"] = compression_error(made.entries, made.transport, made.modes, made.weights, made.test_direct)
-    parts["gather noise"] = gather_noise(
-        made.gatherer, exits.samples, starts, tables, budget.exit_rays, seed, made.weights, made.test_direct
-    )
+    if stored is None:
+        parts["gather noise"] = gather_noise(made, seed)
+    else:
+        parts["points"] = interpolation_error(made, stored, seed)
     clock.stop()
     report = {
         "error": float(np.sqrt(sum(part**2 for part in parts.values()))),
@@ -74,17 +57,75 @@ def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Pro
         "seconds": round(clock.spent, 3),
         "stages": clock.seconds,
         "rays": clock.rays,
-        "texels": len(exits),
-        "buried_texels": made.buried,
+        "exits": "texels" if stored is None else "points",
+        "texels": len(made.exits) if stored is None else int(panes.own.sum()),
+        "buried_texels": made.buried if stored is None else int(stored.texels.orphan.sum()),
         "triangles": len(scene.triangles),
         "entries": len(made.entries),
         "regions": made.modes.regions,
-        "panes_per_texel": k,
-        "budget": asdict(budget),
+        "panes_per_texel": made.modes.panes,
+        "budget": asdict(made.budget),
         "warnings": made.warnings,
     }
-    result = Bake.from_panes(panes, first_hit, {"report": report, "seed": seed})
+    points = None
+    if stored is not None:
+        report |= {"gathered_points": stored.gathered, "stored_points": len(stored.points)}
+        report |= {"vertices": len(made.vertices), "objects": [item.name for item in scene.objects]}
+        region = np.repeat(np.arange(made.modes.regions), np.diff(stored.starts))
+        points = point_arrays(stored.points, region, scene.triangle_object)
+    result = Bake.from_panes(panes, first_hit, {"report": report, "seed": seed}, points)
     report["bytes"] = result.bytes
     if progress is not None:
         progress(Progress("Done", 1.0, clock.rays))
     return result
+
+
+def _at_texels(made: Prepared, seed: int, clock: Clock) -> tuple[Panes, np.ndarray | None]:
+    """Panes whose exits are the atlas' texels, and the first hit of sky and faces, (H, W, 3)."""
+    exits, starts, budget = made.exits, made.starts, made.budget
+    clock.start("Exits", len(exits) * budget.exit_rays)
+    rows = gather_panes(made.gatherer, exits.samples, starts, made.tables, budget.exit_rays, seed + 41, clock.tick)
+    beside = joined(exits)
+    rows = smooth_panes(rows, exits, starts, beside)
+    fill = exits.fill()
+    panes = _panes(made, rows, starts, fill=fill, texel=exits.index, beside=beside)
+    first_hit = None
+    if made.has_first_hit:
+        shown = np.concatenate([rows[:, made.modes.panes + 3 :], np.zeros((1, 3), np.float32)])[fill]
+        first_hit = shown.reshape(exits.resolution, exits.resolution, 3)
+    return panes, first_hit
+
+
+def _at_points(made: Prepared, stored: Stored) -> tuple[Panes, np.ndarray | None]:
+    """Panes whose exits are points, and the first hit of sky and faces, (H, W, 3)."""
+    kept = np.flatnonzero(~stored.texels.orphan)
+    exits = made.exits.keep(kept)
+    fill = exits.fill()
+    own = np.zeros(len(fill), bool)
+    own[exits.index] = True
+    # the row after the last serves nothing
+    point = np.concatenate([stored.texels.point[kept], np.zeros((1, stored.texels.point.shape[1]), np.int32)])[fill]
+    weight = np.concatenate([stored.texels.weight[kept], np.zeros((1, point.shape[1]), np.float32)])[fill]
+    shown = type(stored.texels)(point, weight)
+    panes = _panes(made, stored.rows, stored.starts, shown=shown, own=own, vertices=stored.vertices)
+    first_hit = None
+    if made.has_first_hit:
+        values = np.ascontiguousarray(stored.rows[:, made.modes.panes + 3 :])
+        first_hit = np.maximum(shown.apply(values), 0).reshape(exits.resolution, exits.resolution, 3)
+    return panes, first_hit
+
+
+def _panes(made, rows, starts, **more) -> Panes:
+    k = made.modes.panes
+    steady = np.zeros((len(rows), 3), np.float32)
+    if made.has_steady_light:
+        steady = np.ascontiguousarray(rows[:, k : k + 3])
+    return Panes(
+        rows=np.ascontiguousarray(rows[:, :k]),
+        starts=starts,
+        steady=steady,
+        resolution=made.exits.resolution,
+        surface=made.surface,
+        weights=made.weights,
+        **more,
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,14 +12,20 @@ from ..panes.modes import Modes, learn_modes, training_fields
 from ..panes.regions import features, make_regions, nearest, rooms, signature, split_regions
 from ..panes.training import illuminate, training_lamps
 from ..panes.weights import PaneWeights, make_weights
-from ..planner import Budget, Settings, needs_panes, plan
+from ..planner import Budget, Settings, needs_panes, plan, uses_points
 from ..rays import Bvh, Tracer
 from ..scene import Scene
-from ..surface import Patches, SurfaceSamples, Texels, make_patches, make_texels
+from ..surface import Patches, SurfaceSamples, Texels, Vertices, make_patches, make_texels, make_vertices
 from ..transfer import Entries, Gatherer, Transport, find_entries, make_gatherer, make_piece_gatherer, make_transport
 from ..transfer.entries import MAX_ALBEDO, PLACES
 from .clock import Clock
 from .steady import piece_excess, sky_bins, static_light, steady_light
+
+PILOTS = 32_768
+"""Texels, about, whose rays find the entries where points are the exits."""
+
+GUIDES = 16
+"""Training lamps that steer the points' density."""
 
 TEST_LAMPS = 24
 """Held-out lamps that measure the panes' error at the end of a bake."""
@@ -28,10 +35,11 @@ TEST_LAMPS = 24
 class Prepared:
     """Everything but the exits' gather.
 
-    exits: valid texels, sorted by region; starts: (regions + 1,) where each region's exits begin. buried: how
-    many texels lie inside solid things. tables: (regions, ids, c) what a ray that lands on an id brings: the
+    exits: where texels are the exits, the valid ones, sorted by region, and starts: (regions + 1,) where each region's
+    begin; where points are, all texels, and no starts. vertices: places of objects that are lit at their vertices.
+    is_buried: tells of places whether they lie inside solid things; buried: how many texels were found to. tables: (regions, ids, c) what a ray that lands on an id brings: the
     region's modes, then, where the scene has light that no live lamp changes, its bounces (3) and, where sky or faces
-    shine, their first hit (3). test_direct: (n, TEST_LAMPS) irradiance of held-out lamps, None where no lamp is live.
+    shine, their first hit (3). guide: (1, ids, c) radiosity of a few lamps. test_direct: (n, TEST_LAMPS) irradiance of held-out lamps, None where no lamp is live.
     """
 
     scene: Scene
@@ -47,8 +55,11 @@ class Prepared:
     modes: Modes
     weights: PaneWeights
     exits: Texels
-    starts: np.ndarray
+    starts: np.ndarray | None
+    vertices: Vertices
     tables: np.ndarray
+    guide: np.ndarray
+    is_buried: Callable[[SurfaceSamples], np.ndarray]
     test_direct: np.ndarray | None
     buried: int
     warnings: list[str]
@@ -70,17 +81,22 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
 
     clock.start("Surfaces")
     warnings = list(scene.warnings)
-    texels = make_texels(scene, settings.resolution)
+    texels, vertices = make_texels(scene, settings.resolution), make_vertices(scene)
+    at_points = uses_points(settings, budget, len(texels), len(vertices))
     patches = make_patches(scene, budget.entries, seed)
     bvh = Bvh(patches.corners)
     tracer = Tracer(scene)
 
     clock.start("Entries")
-    entries, buried = find_entries(scene, patches, bvh, texels.samples, tracer.offset, seed)
+    # points need not ask of each texel: those that a point serves are not buried
+    pilot = texels.samples.take(slice(None, None, -(-len(texels) // PILOTS) if at_points else 1)).join(vertices.samples)
+    entries, buried, is_buried = find_entries(scene, patches, bvh, pilot, tracer.offset, seed)
     if buried.all():
         buried[:] = False
+        is_buried = _nothing
         warnings.append("Every texel lies inside a closed object; put a lamp inside the room, or flip its normals.")
-    texels = texels.keep(~buried)
+    if not at_points:
+        texels = texels.keep(~buried)
     warnings += _too_white(scene, patches)
     bins = sky_bins(scene.sky)
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
@@ -113,13 +129,11 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
         clock.tick(1, 0)
         weights = make_weights(entries, transport, modes, room, direct[:, ::8])
         clock.tick(1, 0)
+        guide = transport.solve(entries.albedo.mean(axis=1, keepdims=True), radiosity[:, :GUIDES], 1e-2)
     else:
-        modes, weights, test_direct = *no_panes(entries), None
+        modes, weights, test_direct, guide = *no_panes(entries), None, None
     static = static_light(scene, surface, tracer, seed)
     steady, shine = steady_light(scene.sky, bins, entries, transport, static)
-    own = _own_region(texels.samples, bvh, entries, patches, modes.region, points, scene.extent, tracer.offset)
-    exits = texels.keep(np.lexsort((texels.index, own)))
-    starts = np.concatenate([[0], np.cumsum(np.bincount(own, minlength=modes.regions))])
     tables = _tables(modes, steady, shine, gatherer.size)
     if test_direct is None:
         # without panes there is room for a row for every piece of every entry
@@ -127,10 +141,23 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
         tables = tables[:, np.append(owner, np.arange(len(entries), tables.shape[1]))]
         bounces = slice(modes.panes, modes.panes + 3)
         tables[0, : len(owner), bounces] += piece_excess(scene, patches, entries, owner, static, tracer, seed)
-    return Prepared(
+        guide_table = tables[:, :, bounces]
+    else:
+        guide_table = np.zeros((1, gatherer.size, guide.shape[1]), np.float32)
+        guide_table[0, : len(entries)] = guide
+    made = Prepared(
         scene, budget, patches, bvh, tracer, entries, gatherer, transport, places, surface, modes, weights,
-        exits, starts, tables, test_direct, int(buried.sum()), warnings,
+        texels, None, vertices, tables, guide_table, is_buried, test_direct, int(buried.sum()), warnings,
     )  # fmt: skip
+    if not at_points:
+        own = own_region(made, texels.samples)
+        made.exits = texels.keep(np.lexsort((texels.index, own)))
+        made.starts = np.concatenate([[0], np.cumsum(np.bincount(own, minlength=modes.regions))])
+    return made
+
+
+def _nothing(samples: SurfaceSamples) -> np.ndarray:
+    return np.zeros(len(samples), bool)
 
 
 def no_panes(entries: Entries) -> tuple[Modes, PaneWeights]:
@@ -166,9 +193,11 @@ def _tables(modes, steady, shine, ids):
     return tables
 
 
-def _own_region(samples, bvh, entries, patches, region, points, extent, offset):
-    """(t,) region of each exit: that of the entry it lies on, else of the nearest."""
-    lift = np.float32(4 * offset)
+def own_region(made: Prepared, samples: SurfaceSamples) -> np.ndarray:
+    """(t,) region of each place: that of the entry it lies on, else of the nearest."""
+    bvh, entries, patches, region, extent = made.bvh, made.entries, made.patches, made.modes.region, made.scene.extent
+    points = features(entries.position, entries.normal, extent)
+    lift = np.float32(4 * made.tracer.offset)
     triangle = np.concatenate(
         [
             bvh.closest(

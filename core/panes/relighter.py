@@ -7,37 +7,41 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..point_cache import Weights
 from ..rays import Tracer
 from ..scene import Light
+from .display import BLOCK, PointDisplay, TexelDisplay
 from .entry_light import EntryLight, EntrySurface
-from .exits import STEPS
 from .weights import PaneWeights
-
-BLOCK = 64
-"""Texels of one region that are blended by one matrix product."""
 
 
 @dataclass(frozen=True)
 class Panes:
     """All that relighting reads.
 
-    rows: (t, k) float32 panes at the valid texels, sorted by region. starts: (regions + 1,) int.
-    steady: (t, 3) float32 irradiance that no live lamp changes (bounces of the sky, of emissive faces and of lamps
-    that are not live), W/m².
-    fill: (resolution²,) int32 row that each texel of the atlas shows, −1 for none. texel: (t,) int row-major place of
-    each row in the atlas. beside: (t, 8) bool, which of its neighbours lie on the same surface (exits.joined).
-    surface, weights: see EntrySurface and PaneWeights.
+    rows: (t, k) float32 panes at the exits, sorted by region. starts: (regions + 1,) int. steady: (t, 3) float32
+    irradiance that no live lamp changes (bounces of the sky, of emissive faces and of lamps that are not live), W/m².
+    resolution: of the atlas. surface, weights: see EntrySurface and PaneWeights.
+    Where exits are texels: fill: (resolution²,) int32 row that each texel of the atlas shows, −1 for none. texel: (t,)
+    int row-major place of each row in the atlas. beside: (t, 8) bool, which of its neighbours lie on the same surface
+    (exits.joined).
+    Where exits are points: shown: weights of the rows for each of the resolution² texels. own: (resolution²,) bool,
+    texels with light of their own, not a copy from beyond a chart's border. vertices: weights of the rows for the places
+    of objects that are lit at their vertices (surface.make_vertices).
     """
 
     rows: np.ndarray
     starts: np.ndarray
     steady: np.ndarray
-    fill: np.ndarray
-    texel: np.ndarray
-    beside: np.ndarray
     resolution: int
     surface: EntrySurface
     weights: PaneWeights
+    fill: np.ndarray | None = None
+    texel: np.ndarray | None = None
+    beside: np.ndarray | None = None
+    shown: Weights | None = None
+    own: np.ndarray | None = None
+    vertices: Weights | None = None
 
 
 class Relighter:
@@ -56,10 +60,12 @@ class Relighter:
         flat = slot // BLOCK * (3 * BLOCK) + slot % BLOCK
         size = 3 * self._blocks.shape[0] * BLOCK
         self._place = flat
-        self._show = [np.append(flat + c * BLOCK, size)[panes.fill] for c in range(3)]
-        self._image = np.ones((panes.resolution, panes.resolution, 4), np.float32)
+        if panes.shown is not None:
+            self._display = PointDisplay(flat, panes.resolution, panes.shown)
+        else:
+            where = panes.fill, panes.texel, panes.beside
+            self._display = TexelDisplay(flat, panes.starts, panes.resolution, size, *where)
         self._light = np.zeros(size + 1, np.float32)
-        self._seam = _seams(panes, flat)
         self._steady = np.zeros(size + 1, np.float32)
         for c in range(3):
             self._steady[flat + c * BLOCK] = panes.steady[:, c]
@@ -100,61 +106,35 @@ class Relighter:
         np.matmul(own, self._blocks, out=self._light[:-1].reshape(len(self._blocks), 3, BLOCK))
         return self._light
 
-    def blend_seams(self, light: np.ndarray) -> None:
-        """Average texels at the regions' borders with their neighbours, in place: each side errs in its own way."""
-        at, near, share = self._seam
-        total = light.take(at) * share[0]
-        for places, weight in zip(near, share[1:], strict=True):
-            total += light.take(places) * weight
-        light[at] = total
-
-    def _lit(self, lights):
-        """The whole irradiance, laid out as by `combine`."""
+    def light(self, lights: Sequence[Light]) -> np.ndarray:
+        """The irradiance of all rows, laid out as by `combine`, for the methods below; the next call reuses it."""
         light = self.combine(self.pane_weights(lights))
-        self.blend_seams(light)
+        self._display.finish(light)
         light += self._steady
         return light
 
-    def texels(self, lights: Sequence[Light]) -> np.ndarray:
-        """(t, 3) float32 indirect irradiance of the panes' rows, W/m²."""
-        light = self._lit(lights)
+    def rows(self, light: np.ndarray) -> np.ndarray:
+        """(t, 3) float32 irradiance of the panes' rows, W/m², as they come from the gather: noise and all."""
         return np.stack([light[self._place + c * BLOCK] for c in range(3)], 1)
 
+    def vertices(self, light: np.ndarray) -> np.ndarray:
+        """(v, 3) float32 irradiance at vertices, W/m²; none where no object is lit there."""
+        if self.panes.vertices is None:
+            return np.zeros((0, 3), np.float32)
+        return np.maximum(self.panes.vertices.apply(self.rows(light)), 0)
+
+    def image(self, light: np.ndarray) -> np.ndarray:
+        """(resolution, resolution, 4) float32 irradiance, W/m², alpha 1; row 0 is v = 0. Call it last: it may change
+        `light`. The buffer is reused by the next call."""
+        return self._display.image(light)
+
+    def texels(self, lights: Sequence[Light]) -> np.ndarray:
+        """(t, 3) float32 indirect irradiance of the panes' rows under these lamps, W/m²."""
+        return self.rows(self.light(lights))
+
     def relight(self, lights: Sequence[Light]) -> np.ndarray:
-        """(resolution, resolution, 4) float32 indirect irradiance, W/m², alpha 1; row 0 is v = 0.
-
-        The buffer is reused by the next call.
-        """
-        light = self._lit(lights)
-        # noise of the gather can dip below nothing where there is no light
-        np.maximum(light, 0, out=light)
-        light[-1] = 0
-        pixels = self._image.reshape(-1, 4)
-        for c in range(3):
-            pixels[:, c] = light.take(self._show[c])
-        return self._image
-
-
-def _seams(panes, flat):
-    """Texels beside one of another region: their places in the blended light for red, green and blue (3, s), those of
-    their straight neighbours (4, 3, s), and the weights of the texel and its neighbours (5, s).
-
-    flat: (t,) place of each row's red.
-    """
-    size = panes.resolution
-    row = np.full(size * size, -1, np.int32)
-    row[panes.texel] = np.arange(len(panes.texel), dtype=np.int32)
-    region = np.repeat(np.arange(len(panes.starts) - 1), np.diff(panes.starts))
-    straight = [k for k, (dy, dx) in enumerate(STEPS) if not dy or not dx]
-    steps = np.array([dy * size + dx for dy, dx in (STEPS[k] for k in straight)])
-    place = np.clip(panes.texel + steps[:, None], 0, size * size - 1)
-    near = np.where(panes.beside[:, straight].T, row[place], -1)
-    at = np.flatnonzero(((near >= 0) & (region[near] != region)).any(axis=0))
-    near = near[:, at]
-    share = np.concatenate([np.ones((1, len(at)), np.float32), (near >= 0).astype(np.float32)])
-    near = np.where(near >= 0, near, at)
-    colours = BLOCK * np.arange(3)[:, None]
-    return flat[at] + colours, flat[near][:, None] + colours, share / share.sum(axis=0)
+        """(resolution, resolution, 4) float32 indirect irradiance of the atlas under these lamps; see `image`."""
+        return self.image(self.light(lights))
 
 
 def _blocks(rows, starts):

@@ -1,7 +1,19 @@
 """Where light is stored: a Poisson set of points, denser where the scene needs it (Bikker & Reijerse 2010)."""
 
-from .build import Ground, make_points, survey
+from .build import Ground, lamp_radius, make_points, survey
+from .gaps import serve
+from .gradients import gather_gradients
 from .interpolation import Interpolator, Weights
 from .points import PointSet
 
-__all__ = ["Ground", "Interpolator", "PointSet", "Weights", "make_points", "survey"]
+__all__ = [
+    "Ground",
+    "Interpolator",
+    "PointSet",
+    "Weights",
+    "gather_gradients",
+    "lamp_radius",
+    "make_points",
+    "serve",
+    "survey",
+]

@@ -11,8 +11,10 @@ from ..rays import Bvh
 from ..scene import Scene
 from ..surface import Patches, SurfaceSamples
 from ..surface.patches import bisect
+from ..transfer import Gatherer
 from . import guides
 from .darts import PACKING, Darts, Fragments, throw
+from .gradients import gather_gradients
 from .points import PointSet
 from .sources import Sources, flood_sources, thin_out
 
@@ -21,6 +23,11 @@ COARSE = (6_000, 24_000)
 
 RAYS = 64
 """Rays for the ambient occlusion of a point."""
+
+LOOKS = 1_500
+"""Points of the coarse set, about, at which lamps are asked; LOOK_RAYS rays each."""
+
+LOOK_RAYS = 128
 
 GROWTH = 4
 """Rounds in which points that were found help to find more."""
@@ -103,6 +110,24 @@ def _grow(scene, fragments, sources, bvh, size, offset, seed) -> Darts:
         if len(found.radius) <= 1.01 * before:
             break
     return found
+
+
+def lamp_radius(ground: Ground, gatherer: Gatherer, table: np.ndarray, seed: int = 0) -> np.ndarray:
+    """(coarse points,) radius, in no unit, that lamps ask for: small where what they make changes fast.
+
+    table: (1, ids, lamps) float32 radiosity of a few lamps, by the gatherer's ids.
+    """
+    coarse = ground.coarse
+    step = max(len(coarse) // LOOKS, 1)
+    some = coarse.take(slice(None, None, step))
+    apart = ground.size * np.sqrt(step)
+    found = gather_gradients(gatherer, some, np.full(len(some), apart, np.float32), table, LOOK_RAYS, seed)
+    steep = (found[:, 4:7] ** 2).sum(axis=1)
+    mean = np.maximum(found[:, 0].mean(axis=0), 1e-30)
+    gradient = np.sqrt((steep / mean**2).mean(axis=1))
+    there = guides.spread(gradient, some, guides.NEAR * apart, coarse.position, coarse.flat)[:, 0]
+    there = np.where(np.isfinite(there), there, np.sqrt((gradient**2).mean()))
+    return guides.by_lamps(ground.harmonic, there.astype(np.float32))
 
 
 def make_points(

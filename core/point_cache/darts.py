@@ -14,7 +14,7 @@ import numpy as np
 
 from ..sampling import hash_uint32, hash_uniform
 from ..scene import Scene
-from ..surface import SurfaceSamples, sample_triangles
+from ..surface import SurfaceSamples, no_samples, sample_triangles
 from .grid import LevelGrid, in_chunks
 
 PACKING = 0.696
@@ -139,9 +139,7 @@ def _none():
 
 def _gathered(kept, thrown):
     if not kept:
-        empty = np.zeros((0, 3), np.float32)
-        nothing = SurfaceSamples(empty, empty, empty, np.zeros(0, np.int32), empty)
-        return Darts(nothing, np.zeros(0, np.float32), np.zeros(0, bool), np.zeros(0, np.int64), thrown)
+        return Darts(no_samples(), np.zeros(0, np.float32), np.zeros(0, bool), np.zeros(0, np.int64), thrown)
     samples = kept[0][0]
     for part in kept[1:]:
         samples = samples.join(part[0])

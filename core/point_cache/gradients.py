@@ -10,13 +10,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..rays import in_threads, product3
+from ..rays import chunks, in_threads, product3
 from ..sampling import hash_uniform
 from ..surface import SurfaceSamples
 from ..transfer import Gatherer
 from ..transfer.gather import turns
 
-POINTS = 512
+POINTS = 256
 """Points gathered together."""
 
 CLAMP = 2.0
@@ -36,20 +36,25 @@ def gather_gradients(
     gatherer: Gatherer,
     points: SurfaceSamples,
     radius: np.ndarray,
-    starts: np.ndarray,
     tables: np.ndarray,
     rays: int,
     seed: int,
     tick: Callable[[int], None] | None = None,
+    point: np.ndarray | None = None,
+    table: np.ndarray | None = None,
 ) -> np.ndarray:
-    """(n, ROWS, c) float32: mean of table rows over what each point's rays land on, and its gradients.
+    """(m, ROWS, c) float32: mean of table rows over what points' rays land on, and its gradients.
 
-    points: sorted by region; radius: (n,) m; starts: (regions + 1,), tables: (regions, ids, c) as for
-    `exits.gather_panes`. The gradient by the normal, g, gives value + (n' − n) · g at normal n'; that by the place,
-    1/m, gives value + (x' − x) · g at place x'.
+    radius: (n,) m. tables: (t, ids, c) float32, a row per id of the gatherer. point, table: (m,) which point with which
+    table, sorted by point; each point with the first table if not given. The gradient by the normal, g, gives
+    value + (n' − n) · g at normal n'; that by the place, 1/m, gives value + (x' − x) · g at place x'.
     """
     inner, around = rings(rays)
-    result = np.empty((len(points), ROWS, tables.shape[2]), np.float32)
+    if point is None or table is None:
+        point, table = np.arange(len(points)), np.zeros(len(points), np.int64)
+    ids_of_table, columns = tables.shape[1:]
+    flat_tables = tables.reshape(-1, columns)
+    result = np.empty((len(point), ROWS, columns), np.float32)
     smooth = bool((np.einsum("nd,nd->n", points.normal, points.flat) < 0.9999).any())
 
     def part(piece):
@@ -65,30 +70,22 @@ def gather_gradients(
             ids[row], far[row] = gatherer.land(origins, directions, flat)
         far = np.maximum(far, np.float32(CLAMP) * radius[piece])
         shares = _shares(far.reshape(inner, around, count), pattern.reshape(inner, around, 3))
-        first = int(np.searchsorted(starts, piece.start, side="right")) - 1
-        at = piece.start
-        while at < piece.stop:
-            end = min(int(starts[first + 1]), piece.stop)
-            if end > at:
-                own = slice(at - piece.start, end - piece.start)
-                landed = tables[first].take(ids[:, own].T, axis=0)
-                result[at:end, :5] = np.einsum("arn,nrc->nac", shares[..., own], landed, optimize=True)
-            at = end
-            first += 1
-        found = result[piece, :5].copy()
+        shares = np.ascontiguousarray(shares.transpose(2, 0, 1))
         tangents = frames[:2].transpose(1, 0, 2)
-        result[piece, 1:4] = np.einsum("nac,nad->ndc", found[:, 1:3], tangents)
-        result[piece, 4:7] = np.einsum("nac,nad->ndc", found[:, 3:5], tangents)
+        begin, end = np.searchsorted(point, [piece.start, piece.stop])
+        for at in range(int(begin), int(end), POINTS):
+            mine = slice(at, min(at + POINTS, int(end)))
+            own = point[mine] - piece.start
+            landed = flat_tables.take(ids.T[own] + table[mine, None] * ids_of_table, axis=0)
+            found = np.matmul(shares[own], landed)
+            result[mine, 0] = found[:, 0]
+            result[mine, 1:4] = np.einsum("nac,nad->ndc", found[:, 1:3], tangents[own])
+            result[mine, 4:7] = np.einsum("nac,nad->ndc", found[:, 3:5], tangents[own])
         if tick is not None:
             tick(inner * around * count)
 
-    in_threads(part, _pieces(starts))
+    in_threads(part, chunks(len(points), POINTS))
     return result
-
-
-def _pieces(starts):
-    """Slices of at most POINTS points."""
-    return [slice(s, min(s + POINTS, int(starts[-1]))) for s in range(0, int(starts[-1]), POINTS)]
 
 
 def _pattern(inner, around, start, seed):

@@ -20,9 +20,6 @@ THICK = 0.3
 DISC_CELLS = 1.5
 """Cell of the regular grid over the small discs' radius."""
 
-SPREAD = 2
-"""Half octaves of radius, up and down, in which a point is found."""
-
 
 def expand(first: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Runs first[i], first[i] + 1, … of `count[i]` each, one after another, and the number i of each."""
@@ -93,10 +90,8 @@ class DiscGrid:
 
 
 class LevelGrid:
-    """Points in cells as large as their radius, by half octaves of it; finds those whose radius is alike.
-
-    A radius that grows by less than the distance (as `guides.limit` makes it) keeps points that conflict within two
-    half octaves of each other, so they are all found.
+    """Points in cells as large as a radius, listed once for each half octave between their least radius and their
+    largest; finds those that are nearer than the smaller of two radii.
     """
 
     def __init__(self, low: np.ndarray):
@@ -104,6 +99,7 @@ class LevelGrid:
         self.table = np.zeros(2, np.int64)
         self.point = np.zeros(0, np.int32)
         self.size = 1
+        self.lowest = self.highest = 0
 
     @staticmethod
     def levels(radius: np.ndarray) -> np.ndarray:
@@ -122,12 +118,13 @@ class LevelGrid:
     def fill(self, position: np.ndarray, radius: np.ndarray) -> LevelGrid:
         """List these points, (n, 3) float32 and (n,) float32, in place of those that were."""
         count = len(position)
-        self.size = 1 << max(4, int(np.ceil(np.log2(4 * (2 * SPREAD + 1) * max(count, 1)))))
-        own = self.levels(radius)
+        own = self.levels(radius) if count else np.zeros(1, np.int64)
+        self.lowest, self.highest = int(own.min()), int(own.max())
+        levels = range(self.lowest, self.highest + 1)
+        self.size = 1 << max(4, int(np.ceil(np.log2(4 * len(levels) * max(count, 1)))))
         local = (position - self.low).T
-        keys = np.empty((2 * SPREAD + 1, count), np.int64)
-        for k in range(2 * SPREAD + 1):
-            level = own + k - SPREAD
+        keys = np.empty((len(levels), count), np.int64)
+        for k, level in enumerate(levels):
             cell = np.floor(local / self._cells(level)).astype(np.int64)
             keys[k] = self._hash(cell, level)
         keys = keys.reshape(-1)
@@ -137,11 +134,12 @@ class LevelGrid:
         return self
 
     def pairs(self, places: np.ndarray, radius: np.ndarray, own: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """(m,) int32 query and (m,) int32 point of all pairs that may lie within the query's radius of each other.
+        """(m,) int32 query and (m,) int32 point of all pairs that may lie within the smaller radius of each other.
 
         own: only those that share a cell. A pair may come twice. One thread: cut into chunks before.
         """
-        level = self.levels(radius)
+        # beyond the points' own radii theirs is the smaller one, or holds the query's
+        level = np.clip(self.levels(radius), self.lowest, self.highest)
         size = self._cells(level)
         corner = np.floor((places - self.low).T / size - np.float32(0 if own else 0.5)).astype(np.int64)
         queries, points = [], []

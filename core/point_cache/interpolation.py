@@ -147,8 +147,9 @@ class Interpolator:
         measure = distance / (points.radius[point] * self.reach)
         if kernel.startswith("bare"):
             return query, point, measure
-        alike = np.einsum("nd,nd->n", points.normal[point], places.normal[query])
-        rise = np.einsum("nd,nd->n", apart, points.samples.flat[point] + places.flat[query]) / 2
+        alike = np.einsum("nd,nd->n", points.normal.take(point, axis=0), places.normal.take(query, axis=0))
+        planes = points.samples.flat.take(point, axis=0) + places.flat.take(query, axis=0)
+        rise = np.einsum("nd,nd->n", apart, planes) / 2
         serves = np.flatnonzero((alike > FACING) & (np.abs(rise) < RISE * distance + 4 * self.offset))
         query, point, measure, alike = query[serves], point[serves], measure[serves], alike[serves]
         if kernel in ("ward", "affine"):
@@ -161,9 +162,9 @@ class Interpolator:
         return query[near], point[near], measure[near].astype(np.float32)
 
     def _visible(self, places, query, point):
-        flat, other = places.flat[query], self.points.samples.flat[point]
-        start = places.position[query]
-        apart = self.points.position[point] - start
+        flat, other = places.flat.take(query, axis=0), self.points.samples.flat.take(point, axis=0)
+        start = places.position.take(query, axis=0)
+        apart = self.points.position.take(point, axis=0) - start
         lift = np.maximum(np.float32(LIFT) * np.linalg.norm(apart, axis=1, keepdims=True), self.offset)
         origin, vector = start + lift * flat, apart + lift * (other - flat)
         return ~self.bvh.occluded(np.ascontiguousarray(origin), np.ascontiguousarray(vector))

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..scene import Scene
 from ..surface import SurfaceSamples, sample_triangles
+from .darts import first_come
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,12 @@ class PointSet:
         """These points, then `more`."""
         rest = (np.concatenate([getattr(self, n), getattr(more, n)]) for n in ("radius", "ao", "back"))
         return PointSet(self.samples.join(more.samples), *rest)
+
+    def sparser(self, times: float) -> PointSet:
+        """Those of the points that keep `times` their radius from each other, with that radius; as many as go."""
+        radius = self.radius * np.float32(times)
+        kept = first_come(self.samples, radius, self.position.min(axis=0, initial=np.inf))
+        return replace(self.take(kept), radius=radius[kept])
 
     def follow(self, scene: Scene) -> PointSet:
         """The same points on the same triangles of a scene whose objects have moved or bent.

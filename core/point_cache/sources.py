@@ -90,9 +90,9 @@ class Sources:
 
     def _see(self, position, flat, own):
         query, source = self.grid.pairs(position, np.full(len(position), self.size, np.float32), own)
-        apart = self.air[source] - position[query]
+        apart = self.air.take(source, axis=0) - position.take(query, axis=0)
         distance2 = np.einsum("nd,nd->n", apart, apart)
-        keep = (distance2 < (1.5 * self.size) ** 2) & (np.einsum("nd,nd->n", apart, flat[query]) > 0)
+        keep = (distance2 < (1.5 * self.size) ** 2) & (np.einsum("nd,nd->n", apart, flat.take(query, axis=0)) > 0)
         query, source, distance2 = query[keep], source[keep], distance2[keep]
         order, first = nearest_first(query, distance2, len(position))
         count = np.diff(first)

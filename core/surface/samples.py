@@ -49,8 +49,17 @@ class SurfaceSamples:
 
         Smooth shading can turn the flat normal over; the winding stays.
         """
-        over = np.einsum("nd,nd->n", scene.triangle_cross()[self.triangle], self.flat) < 0
-        return self.flipped(back ^ over)
+        return self.flipped(back ^ self.behind(scene))
+
+    def behind(self, scene: Scene) -> np.ndarray:
+        """(n,) bool: which lie on the reverse of what their triangles' winding names."""
+        return np.einsum("nd,nd->n", scene.triangle_cross()[self.triangle], self.flat) < 0
+
+
+def no_samples() -> SurfaceSamples:
+    """None at all."""
+    empty = np.zeros((0, 3), np.float32)
+    return SurfaceSamples(empty, empty, empty, np.zeros(0, np.int32), empty)
 
 
 def sample_triangles(scene: Scene, triangle: np.ndarray, weights: np.ndarray) -> SurfaceSamples:

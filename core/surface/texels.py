@@ -8,7 +8,7 @@ import numpy as np
 
 from ..rays import Bvh, chunks, in_threads
 from ..scene import Scene, SceneError
-from .samples import SurfaceSamples, sample_triangles
+from .samples import SurfaceSamples, no_samples, sample_triangles
 
 GUTTER = 16
 """Texels past a chart's border that are filled, so that filtering and mip maps never read black."""
@@ -65,8 +65,10 @@ def make_texels(scene: Scene, resolution: int) -> Texels:
     Raises SceneError where nothing has a place in the atlas.
     """
     placed = np.flatnonzero(np.isfinite(scene.atlas_uv).all((1, 2)))
-    receives = np.array([o.receives for o in scene.objects], bool)
+    receives = np.array([o.receives and not o.at_vertices for o in scene.objects], bool)
     placed = placed[receives[scene.triangle_object[placed]]]
+    if not len(placed) and any(o.at_vertices for o in scene.objects):
+        return Texels(no_samples(), np.zeros(0, np.int32), np.zeros(0, bool), resolution)
     if not len(placed):
         raise SceneError("No object has a place in the atlas; every object is excluded or could not be unwrapped.")
     flat = np.zeros((len(placed), 3, 3), np.float32)

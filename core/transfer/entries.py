@@ -6,6 +6,7 @@ land on it. What no such ray finds gets no entry: the outside of a sealed room c
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,8 +73,9 @@ def _places(scene: Scene, patches: Patches, patch: np.ndarray, back: np.ndarray,
 
 def find_entries(
     scene: Scene, patches: Patches, bvh: Bvh, exits: SurfaceSamples, offset: float, seed: int = 0
-) -> tuple[Entries, np.ndarray]:
-    """Entries reached by light paths that end at `exits`, and (exits,) bool: those buried inside other things.
+) -> tuple[Entries, np.ndarray, Callable[[SurfaceSamples], np.ndarray]]:
+    """Entries reached by light paths that end at `exits`, (exits,) bool: those buried inside other things, and what
+    tells the same of any other places.
 
     A place is buried when it sees back sides that the flood of light does not reach. Fronts do not count: a sealed
     room without a lamp is no solid thing, one may be put there later.
@@ -124,7 +126,7 @@ def find_entries(
     each = np.repeat(sides, PLACES)
     places = _places(scene, patches, each // 2, each % 2 == 1, seed + 5)
     hidden = pilot(places, 300)[1].reshape(-1, PLACES)
-    return _make(patches, sides, places, hidden), buried
+    return _make(patches, sides, places, hidden), buried, lambda points: pilot(points, 400)[1]
 
 
 def _significant(hits, patches):

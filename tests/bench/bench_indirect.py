@@ -62,5 +62,4 @@ def compare_sample(name: str, scene, result) -> list[tuple[scenes.Setting, metri
 
 def valid_texels(result) -> np.ndarray:
     """(H, W) bool: texels with a value of their own, not filled from neighbours (past a chart, inside an object)."""
-    own = result.images["Lightpanes Interpolation"][1]
-    return own > 0
+    return result.own

@@ -59,7 +59,7 @@ def test_parallel_plates():
     )
     patches = make_patches(made, 4000)
     bvh = Bvh(patches.corners)
-    entries, _ = find_entries(made, patches, bvh, patches.sample(made, np.arange(len(patches)), 1), 1e-3)
+    entries, _, _ = find_entries(made, patches, bvh, patches.sample(made, np.arange(len(patches)), 1), 1e-3)
     transport = make_transport(entries, make_gatherer(made, patches, entries, bvh, 1e-3), 2048)
     lit = (entries.position[:, 2] < 0.5 * gap).astype(np.float32)[:, None]
     radiosity = transport.solve(entries.albedo[:, :1], entries.albedo[:, :1] * lit)

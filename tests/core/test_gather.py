@@ -41,7 +41,7 @@ def prepared(made: Scene, count: int = 200):
     patches = make_patches(made, count)
     bvh = Bvh(patches.corners)
     places = patches.sample(made, np.arange(len(patches)), 5)
-    entries, _ = find_entries(made, patches, bvh, places, OFFSET)
+    entries, _, _ = find_entries(made, patches, bvh, places, OFFSET)
     return patches, bvh, places, entries, make_gatherer(made, patches, entries, bvh, OFFSET)
 
 
@@ -185,7 +185,7 @@ def test_texels_inside_a_solid_are_buried():
     made = scene((*box((0, 0, 0), (4, 3, 2.5), True), 0), (*box((1, 1, -0.5), (2, 2, 0.5)), 0))
     patches = make_patches(made, 300)
     texels = make_texels(made, 64).samples
-    _, buried = find_entries(made, patches, Bvh(patches.corners), texels, OFFSET)
+    _, buried, _ = find_entries(made, patches, Bvh(patches.corners), texels, OFFSET)
     place, block = texels.position, made.triangle_object[texels.triangle] == 1
     below = block & (place[:, 2] < -0.02)
     under = ~block & (place[:, 2] < 1e-3) & ((place[:, :2] > 1.02) & (place[:, :2] < 1.98)).all(axis=1)

@@ -43,7 +43,7 @@ WALL = quad((0, 0, 0), (0, 1, 0), (0, 0, 1))
 def transport_of(made, count, rays=512):
     patches = make_patches(made, count)
     bvh = Bvh(patches.corners)
-    entries, _ = find_entries(made, patches, bvh, patches.sample(made, np.arange(len(patches)), 1), OFFSET)
+    entries, _, _ = find_entries(made, patches, bvh, patches.sample(made, np.arange(len(patches)), 1), OFFSET)
     gatherer = make_gatherer(made, patches, entries, bvh, OFFSET)
     return patches, bvh, entries, gatherer, make_transport(entries, gatherer, rays)
 

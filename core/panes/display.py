@@ -1,0 +1,109 @@
+"""From the irradiance of the panes' rows to the atlas' image: rows are texels, or points between which texels lie."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..point_cache import Weights
+from ..rays import chunks, in_threads
+from .exits import STEPS
+
+BLOCK = 64
+"""Rows of one region that are blended by one matrix product: their red lies together, then green, then blue."""
+
+PIXELS = 32_768
+"""Texels between points that are done together: their sums stay in the cache."""
+
+
+class TexelDisplay:
+    """Rows are texels. Those at regions' borders are averaged with their neighbours, for each side errs in its own way.
+
+    place: (t,) where each row's red lies in the blended light; see `Panes` for the rest.
+    """
+
+    def __init__(self, place, starts, resolution: int, size: int, fill, texel, beside):
+        self._image = np.ones((resolution, resolution, 4), np.float32)
+        # the last place is black
+        self._show = [np.append(place + c * BLOCK, size)[fill] for c in range(3)]
+        self._seam = _seams(place, starts, resolution, texel, beside)
+
+    def finish(self, light: np.ndarray) -> None:
+        """Blend the regions' borders, in place."""
+        at, near, share = self._seam
+        total = light.take(at) * share[0]
+        for places, weight in zip(near, share[1:], strict=True):
+            total += light.take(places) * weight
+        light[at] = total
+
+    def image(self, light: np.ndarray) -> np.ndarray:
+        """(H, W, 4) float32, reused by the next call. Changes `light`: noise can dip below nothing."""
+        np.maximum(light, 0, out=light)
+        light[-1] = 0
+        pixels = self._image.reshape(-1, 4)
+        for c in range(3):
+            pixels[:, c] = light.take(self._show[c])
+        return self._image
+
+
+class PointDisplay:
+    """Rows are points; a texel is a sum over the few that serve it.
+
+    place: (n,) where each row's red lies in the blended light. shown: weights of the rows for each texel of the atlas.
+    """
+
+    def __init__(self, place, resolution: int, shown: Weights):
+        self._image = np.ones((resolution, resolution, 4), np.float32)
+        self._place = place
+        self._point = np.ascontiguousarray(shown.point.T)
+        self._weight = np.ascontiguousarray(shown.weight.T)
+        served = shown.weight.any(axis=1)
+        self._pieces = [s for s in chunks(len(served), PIXELS) if served[s].any()]
+
+    def finish(self, light: np.ndarray) -> None:
+        """Nothing: texels between points of two regions blend them anyway."""
+
+    def values(self, light: np.ndarray) -> np.ndarray:
+        """(n, 4) float32 red, green, blue and 1 of each row."""
+        values = np.ones((len(self._place), 4), np.float32)
+        for c in range(3):
+            values[:, c] = light.take(self._place + c * BLOCK)
+        return values
+
+    def image(self, light: np.ndarray) -> np.ndarray:
+        """(H, W, 4) float32, reused by the next call."""
+        # four floats move as one number, which numpy does twice as fast as a row of four
+        values = self.values(light).view(np.complex128).reshape(-1)
+        pixels = self._image.reshape(-1, 4)
+
+        def part(s):
+            out = pixels[s]
+            row = values.take(self._point[0, s]).view(np.float32).reshape(-1, 4)
+            np.multiply(row, self._weight[0, s, None], out=out)
+            for point, weight in zip(self._point[1:, s], self._weight[1:, s], strict=True):
+                row = values.take(point).view(np.float32).reshape(-1, 4)
+                row *= weight[:, None]
+                out += row
+            # affine weights can dip below nothing beside a shadow
+            np.maximum(out, 0, out=out)
+            out[:, 3] = 1
+
+        in_threads(part, self._pieces)
+        return self._image
+
+
+def _seams(place, starts, size, texel, beside):
+    """Texels beside one of another region: their places in the blended light for red, green and blue (3, s), those of
+    their straight neighbours (4, 3, s), and the weights of the texel and its neighbours (5, s)."""
+    row = np.full(size * size, -1, np.int32)
+    row[texel] = np.arange(len(texel), dtype=np.int32)
+    region = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    straight = [k for k, (dy, dx) in enumerate(STEPS) if not dy or not dx]
+    steps = np.array([dy * size + dx for dy, dx in (STEPS[k] for k in straight)])
+    around = np.clip(texel + steps[:, None], 0, size * size - 1)
+    near = np.where(beside[:, straight].T, row[around], -1)
+    at = np.flatnonzero(((near >= 0) & (region[near] != region)).any(axis=0))
+    near = near[:, at]
+    share = np.concatenate([np.ones((1, len(at)), np.float32), (near >= 0).astype(np.float32)])
+    near = np.where(near >= 0, near, at)
+    colours = BLOCK * np.arange(3)[:, None]
+    return place[at] + colours, place[near][:, None] + colours, share / share.sum(axis=0)
