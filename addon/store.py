@@ -19,6 +19,7 @@ from ..core.scene import SceneError
 
 COLLECTION = "Lightpanes"
 ENTRIES = "Lightpanes Entries"
+POINTS = "Lightpanes Points"
 IRRADIANCE = "Lightpanes Irradiance"
 DIRECT = "Lightpanes Direct"
 ALBEDO = "Lightpanes Albedo"
@@ -29,6 +30,7 @@ TAG = "lightpanes_role"
 IMAGES = "lightpanes_images"
 META = "lightpanes_meta"
 LAYOUT = "lightpanes_layout"
+POINTS_KEY = "lightpanes_points"
 SHAPE = "lightpanes_shape"
 
 FORMAT = 1
@@ -59,19 +61,24 @@ def store_bake(scene: bpy.types.Scene, bake: Bake, albedo: np.ndarray | None = N
             images[DIRECT] = _write_pixels(DIRECT, _opaque(bake.direct), made)
         if albedo is not None:
             images[ALBEDO] = _write_pixels(ALBEDO, _opaque(albedo), made)
-        entries = _write_entries(bake, images, made)
+        points = _write_points(bake, made)
+        entries = _write_entries(bake, images, points, made)
         collection = _collection(scene)
     except BaseException:
         _remove(made)
         raise
     old = scene.lightpanes.entries
     collection.objects.link(entries)
+    if points is not None:
+        collection.objects.link(points)
     scene.lightpanes.entries = entries
     if old is not None:
         _remove_bake(old)
     for role, image in images.items():
         image.name = role
     entries.name = entries.data.name = ENTRIES
+    if points is not None:
+        points.name = points.data.name = POINTS
     return entries
 
 
@@ -87,13 +94,14 @@ def load_bake(scene: bpy.types.Scene) -> Bake | None:
     try:
         layout, meta = json.loads(mesh[LAYOUT]), json.loads(mesh[META])
         arrays = {name: _read_attribute(mesh, name, *spec) for name, spec in layout["entries"].items()}
+        points = _read_points(mesh, layout.get("points", {}))
         stored = mesh[IMAGES]
         images = {role: _read_array(stored[role], role) for role in layout["images"]}
         direct = _read_array(stored[DIRECT], DIRECT)[..., :3].copy() if layout["direct"] else None
         resolution = int(layout["resolution"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise SceneError(f"The bake in scene '{scene.name}' is damaged ({error}); bake again.") from error
-    return Bake(resolution=resolution, images=images, entries=arrays, direct=direct, meta=meta)
+    return Bake(resolution=resolution, images=images, entries=arrays, direct=direct, meta=meta, points=points)
 
 
 def find_entries(scene: bpy.types.Scene) -> bpy.types.Object | None:
@@ -102,6 +110,12 @@ def find_entries(scene: bpy.types.Scene) -> bpy.types.Object | None:
     if entries is None or entries.type != "MESH" or LAYOUT not in entries.data:
         return None
     return entries
+
+
+def find_points(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """The object whose vertices are the points of the scene's bake, None where its exits are texels."""
+    entries = find_entries(scene)
+    return entries.data.get(POINTS_KEY) if entries is not None else None
 
 
 def find_image(scene: bpy.types.Scene, role: str) -> bpy.types.Image | None:
@@ -212,37 +226,67 @@ def _read_array(image: bpy.types.Image, role: str) -> np.ndarray:
     return flat[:size].reshape(shape)
 
 
-def _write_entries(bake: Bake, images: dict, made: list) -> bpy.types.Object:
-    mesh = bpy.data.meshes.new(ENTRIES)
+def _write_points(bake: Bake, made: list) -> bpy.types.Object | None:
+    """A mesh of the stored points, with `irradiance` for what they show now."""
+    if not bake.points:
+        return None
+    mesh, _ = _write_vertices(POINTS, bake.points, made)
+    _fill(mesh, "irradiance", "FLOAT_COLOR", np.zeros((len(mesh.vertices), 4), np.float32))
+    mesh.update()
+    return _hidden_object(POINTS, mesh, made)
+
+
+def _read_points(mesh, specs: dict) -> dict[str, np.ndarray]:
+    if not specs:
+        return {}
+    points = mesh.get(POINTS_KEY)
+    if points is None:
+        raise ValueError(f"the object '{POINTS}' has been deleted")
+    return {name: _read_attribute(points.data, name, *spec) for name, spec in specs.items()}
+
+
+def _write_vertices(name: str, arrays: dict, made: list) -> tuple[bpy.types.Mesh, dict]:
+    """A tagged mesh of one vertex a row, and how to read its attributes back."""
+    mesh = bpy.data.meshes.new(name)
     made.append(mesh)
-    mesh.vertices.add(len(bake.entries["position"]))
-    specs = {name: _write_attribute(mesh, name, array) for name, array in bake.entries.items()}
+    mesh[TAG] = name
+    mesh.vertices.add(len(arrays["position"]))
+    return mesh, {key: _write_attribute(mesh, key, array) for key, array in arrays.items()}
+
+
+def _hidden_object(name: str, mesh, made: list) -> bpy.types.Object:
+    item = bpy.data.objects.new(name, mesh)
+    made.append(item)
+    item[TAG] = name
+    item.hide_render = item.hide_viewport = item.hide_select = True
+    return item
+
+
+def _write_entries(bake: Bake, images: dict, points: bpy.types.Object | None, made: list) -> bpy.types.Object:
+    mesh, specs = _write_vertices(ENTRIES, bake.entries, made)
     layout = {
         "format": FORMAT,
         "resolution": int(bake.resolution),
         "images": list(bake.images),
         "direct": bake.direct is not None,
         "entries": specs,
+        "points": {} if points is None else {name: _spec(array) for name, array in bake.points.items()},
     }
     mesh[LAYOUT] = json.dumps(layout)
     mesh[META] = json.dumps(bake.meta)
     mesh[IMAGES] = images
     mesh["lightpanes_key"] = _key(bake)
-    mesh[TAG] = ENTRIES
+    if points is not None:
+        mesh[POINTS_KEY] = points
     mesh.update()
-    entries = bpy.data.objects.new(ENTRIES, mesh)
-    made.append(entries)
-    entries[TAG] = ENTRIES
-    entries.hide_render = entries.hide_viewport = True
-    entries.hide_select = True
-    return entries
+    return _hidden_object(ENTRIES, mesh, made)
 
 
 def _key(bake: Bake) -> str:
     import hashlib
 
     digest = hashlib.blake2b(digest_size=12)
-    for arrays in (bake.images, bake.entries):
+    for arrays in (bake.images, bake.entries, bake.points):
         for name, array in arrays.items():
             digest.update(name.encode())
             digest.update(np.ascontiguousarray(array).data)
@@ -272,6 +316,10 @@ def _write_attribute(mesh: bpy.types.Mesh, name: str, array: np.ndarray) -> list
     else:
         for k, column in enumerate(columns.reshape(count, -1).T):
             _fill(mesh, f"{name}.{k}", kind or "FLOAT", column)
+    return _spec(array)
+
+
+def _spec(array: np.ndarray) -> list:
     return [array.dtype.str, list(array.shape)]
 
 
@@ -324,6 +372,9 @@ def _remove_bake(entries: bpy.types.Object) -> None:
         for image in dict(other[IMAGES]).values()
     }
     doomed = [image for image in images if image is not None and TAG in image and image not in others]
+    points = mesh.get(POINTS_KEY) if mesh is not None else None
+    if points is not None and TAG in points:
+        doomed += [points, *([points.data] if points.data.users <= 1 and TAG in points.data else [])]
     _remove([entries, *([mesh] if mesh is not None and mesh.users <= 1 and TAG in mesh else []), *doomed])
 
 
