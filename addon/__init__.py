@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import atexit
 
-from . import commands, operators, panel, properties, relight
+from . import commands, operators, overlay, panel, properties, relight
 
-MODULES = (properties, operators, panel, relight, commands)
+MODULES = (properties, operators, panel, relight, overlay, commands)
 
 _registered = False
 

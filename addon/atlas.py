@@ -8,7 +8,7 @@ used: it took 1 s to 90 s for three objects where shapes are concave, and filled
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -18,12 +18,12 @@ import numpy as np
 from ..core.scene import SceneError
 from . import visibility
 from .charts import lay_flat, next_loop
-from .meshes import LAYER, are_numbers, loop_triangles, read_attribute, weight_of
+from .meshes import AT_VERTICES, LAYER, are_numbers, loop_triangles, read_attribute, weight_of
 from .packing import FEW, INSET, MARGIN, Charts, pack
 
 ANGLE_LIMIT = np.radians(66.0)
 LARGEST_GRID = 1024  # cells; above it a cell is several texels wide
-PLACE = ("lightpanes_scale", "lightpanes_offset", "lightpanes_baked")
+PLACE = ("lightpanes_scale", "lightpanes_offset", "lightpanes_baked", AT_VERTICES)
 SMALLEST_COVERAGE = 0.2  # of the texels; below it the charts are too many for the atlas
 SMALLEST_CHARTED = 0.9  # of the area must be in charts of a texel or more
 DOUBLING = {"MIRROR", "ARRAY", "SOLIDIFY", "SCREW", "NODES", "BOOLEAN", "SKIN", "BUILD"}
@@ -68,21 +68,26 @@ def receivers(context: bpy.types.Context, objects: Iterable[bpy.types.Object], w
     return found
 
 
-def make_atlas(context: bpy.types.Context, objects: Iterable[bpy.types.Object], resolution: int) -> list[str]:
+def make_atlas(
+    context: bpy.types.Context,
+    objects: Iterable[bpy.types.Object],
+    resolution: int,
+    at_vertices: Collection[bpy.types.Object] = (),
+) -> list[str]:
     """Give each of the objects that can receive light a place in one atlas of resolution² texels; returns warnings.
 
     Makes or updates the UV layer `Lightpanes` of their meshes and the custom properties
     lightpanes_scale, _offset and _baked; every other object of the scene loses those. Objects that
     share a mesh share its layer and have a rectangle each; the others' charts are packed one by one.
-    Texels per metre are the same everywhere but for the objects' weights, and charts stay two texels
+    Those in at_vertices are marked as lit there and get neither layer nor place. Texels per metre are the same everywhere but for the objects' weights, and charts stay two texels
     apart. Raises SceneError, naming the object and what to do, before anything has changed.
     """
     warnings: list[str] = []
-    objects = receivers(context, objects, warnings)
-    if not objects:
+    objects = [obj for obj in receivers(context, objects, warnings) if obj not in at_vertices]
+    if not objects and not at_vertices:
         raise SceneError("No object can receive light: add a mesh with faces that renders, or clear Exclude on one.")
     meshes = _gather(context, objects)
-    layouts, places = _lay_out(meshes, _unwrap(context, meshes), resolution, warnings)
+    layouts, places = _lay_out(meshes, _unwrap(context, meshes), resolution, warnings) if meshes else ([], {})
     for mesh, uv in zip(meshes, layouts, strict=True):
         _write_layer(mesh.data, uv)
     kept = set(objects)
@@ -92,6 +97,9 @@ def make_atlas(context: bpy.types.Context, objects: Iterable[bpy.types.Object], 
                 obj.pop(name, None)
     for obj, (scale, offset) in places.items():
         obj["lightpanes_scale"], obj["lightpanes_offset"], obj["lightpanes_baked"] = scale, offset, 1.0
+        obj.pop(AT_VERTICES, None)
+    for obj in at_vertices:
+        obj["lightpanes_baked"] = obj[AT_VERTICES] = 1.0
     _warn_overlaps(context, meshes, warnings)
     return warnings
 
@@ -116,7 +124,7 @@ def remember(context: bpy.types.Context, objects: list[bpy.types.Object]) -> Cal
                 layer.uv.foreach_set("vector", uv.ravel())
                 data.update()
             elif uv is None and layer is not None:
-                _remove_layer(data, layer)
+                remove_layer(data)
         for obj, values in places:
             for name in PLACE:
                 if name in values:
@@ -393,8 +401,12 @@ def _write_layer(data, uv) -> None:
     data.update()
 
 
-def _remove_layer(data, layer) -> None:
+def remove_layer(data: bpy.types.Mesh) -> None:
+    """Take our UV layer off; the user's active ones stay active."""
     layers = data.uv_layers
+    layer = layers.get(LAYER)
+    if layer is None:
+        return
     active = layers.active.name if layers.active else None
     render = next((other.name for other in layers if other.active_render), None)
     layers.remove(layer)

@@ -12,7 +12,7 @@ from ..core.bake import Progress, Settings, bake
 from ..core.panes import Relighter
 from ..core.rays import Tracer
 from ..core.scene import SceneError
-from . import atlas, extract, nodes, relight, store, visibility
+from . import atlas, extract, nodes, points, relight, store, vertices, visibility
 
 
 def bake_scene(context: bpy.types.Context, progress: Callable[[Progress], None] | None = None) -> dict:
@@ -27,20 +27,29 @@ def bake_scene(context: bpy.types.Context, progress: Callable[[Progress], None] 
     warnings = preflight(context)
     asked = scene.lightpanes
     settings = Settings(
-        error_target=asked.error_target, time_budget=asked.time_budget, resolution=asked.resolution, seed=asked.seed
+        error_target=asked.error_target,
+        time_budget=asked.time_budget,
+        resolution=asked.resolution,
+        seed=asked.seed,
+        exits=asked.exits.lower(),
     )
     progress(Progress("Atlas", 0.0, 0))
     objects = [item for item in scene.objects if item.type == "MESH" and store.TAG not in item]
+    loops: dict = {}
     with relight.paused(), _atlas_kept_on_failure(context, objects):
-        warnings += atlas.make_atlas(context, objects, settings.resolution)
+        at_vertices, told = vertices.choose(context, objects)
+        warnings += told
+        warnings += atlas.make_atlas(context, objects, settings.resolution, at_vertices)
         progress(Progress("Reading the scene", 0.02, 0))
-        surfaces = extract.extract(context, resolution=settings.resolution)
+        surfaces = extract.extract(context, resolution=settings.resolution, loops=loops)
         result = bake(surfaces, settings, lambda p: progress(Progress(p.stage, 0.05 + 0.93 * p.fraction, p.rays)))
         report = result.meta.setdefault("report", {})
         report["warnings"] = warnings + [w for w in report.get("warnings", []) if w not in warnings]
         result.meta["static"] = {lamp.name: relight.lamp_key([lamp]) for lamp in surfaces.lights if not lamp.live}
+        points.remember(result, surfaces)
         store.store_bake(scene, result, surfaces.albedo_map)
     with relight.paused():
+        vertices.keep(context, surfaces, loops)
         relight.adopt(scene, Relighter(result.panes(), Tracer(surfaces)))
         report["warnings"] += nodes.attach(context, surfaces)
         # after attaching, which may give materials to objects that have none
@@ -111,22 +120,8 @@ def _clear_atlas(scene):
             for key in atlas.PLACE:
                 if key in item:
                     del item[key]
+    vertices.drop()
     kept = {item.data for item in bpy.data.objects if "lightpanes_baked" in item}
     for mesh in {item.data for item in mine if item.type == "MESH"} - kept:
         if mesh.library is None:
-            _remove_layer(mesh)
-
-
-def _remove_layer(mesh):
-    """Take our UV layer off; the user's active ones stay active."""
-    layers = mesh.uv_layers
-    layer = layers.get(atlas.LAYER)
-    if layer is None:
-        return
-    active = layers.active.name if layers.active else None
-    render = next((other.name for other in layers if other.active_render), None)
-    layers.remove(layer)
-    if active in layers:
-        layers.active = layers[active]
-    if render in layers:
-        layers[render].active_render = True
+            atlas.remove_layer(mesh)

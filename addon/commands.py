@@ -19,8 +19,10 @@ from pathlib import Path
 import bpy
 
 from ..core.bake import BakeError
+from ..core.planner import EXITS
 from ..core.scene import SceneError
-from . import baking, operators, relight, store
+from . import baking, colours, operators, relight, store
+from .colours import KINDS
 
 OK, BAD_INPUT, INTERRUPTED = 0, 2, 130
 
@@ -43,7 +45,7 @@ def main(arguments: list[str], *, opened: bool = False) -> int:
     opened: the .blend is the one that Blender has open, so no FILE is given.
     """
     try:
-        options = _parser(opened).parse_args(arguments)
+        options = _parser(opened).parse_args(_spelled_out(arguments))
         return options.run(options)
     except (UserError, SceneError, BakeError) as error:
         print(f"lightpanes: {error}", file=sys.stderr)
@@ -73,6 +75,7 @@ def _parser(opened: bool) -> argparse.ArgumentParser:
     bake.add_argument("--error", type=_number(0.002, 0.5), metavar="E", help="relative error to bake for (0.05)")
     bake.add_argument("--time", type=_number(0, 1e6), metavar="S", help="seconds that the bake may take, 0: no limit")
     bake.add_argument("--resolution", type=_number(16, 4096, int), metavar="N", help="atlas size in pixels (256)")
+    bake.add_argument("--exits", choices=EXITS, help="where light is gathered (auto: points where that is less work)")
     bake.add_argument("--seed", type=_number(0, 2**31 - 1, int), metavar="N", help="seed of all random numbers (0)")
     again = command("relight", _relight, "Relight a baked scene by its lamps as they are; goes to FILE_relit.blend.")
     again.add_argument("--frame", type=_number(-1048574, 1048574, int), metavar="N", help="frame to relight for")
@@ -81,8 +84,24 @@ def _parser(opened: bool) -> argparse.ArgumentParser:
         "--resolution", type=_number(32, 1024, int), default=256, metavar="N", help="atlas size in pixels (256)"
     )
     graph.add_argument("--seed", type=_number(0, 2**31 - 1, int), default=0, metavar="N", help="seed of all (0)")
-    command("info", _info, "Say what a file's bake is and whether it is still valid.")
+    info = command("info", _info, "Say what a file's bake is and whether it is still valid.")
+    info.add_argument(
+        "--points",
+        nargs="?",
+        const=KINDS[0],
+        choices=KINDS,
+        help="also draw the points that hold the light, coloured by this (radius), into FILE_points.png",
+    )
     return parser
+
+
+def _spelled_out(arguments: list[str]) -> list[str]:
+    """`--points FILE.blend` means the default kind of picture, and not one named FILE.blend."""
+    result = []
+    for word, after in zip(arguments, [*arguments[1:], "--"], strict=True):
+        bare = word == "--points" and after not in KINDS and (after.startswith("-") or after.endswith(".blend"))
+        result.append(f"--points={KINDS[0]}" if bare else word)
+    return result
 
 
 def _number(low, high, kind=float) -> Callable[[str], float]:
@@ -107,6 +126,7 @@ def _bake(options) -> int:
         ("error_target", options.error),
         ("time_budget", options.time),
         ("resolution", options.resolution),
+        ("exits", options.exits and options.exits.upper()),
         ("seed", options.seed),
     ):
         if value is not None:
@@ -144,6 +164,7 @@ def _info(options) -> int:
     if meta is None:
         raise UserError(f"'{path.name}' has no bake in scene '{scene.name}'; bake it first.")
     stale = list(relight.check_stale(bpy.context))
+    picture = _draw_points(options, path) if options.points else None
     report = {**context_of(path), "settings": _settings(scene.lightpanes), **meta.get("report", {}), "stale": stale}
     _say(options, operators.summary(report))
     for key, value in report.items():
@@ -151,8 +172,20 @@ def _info(options) -> int:
             _say(options, f"  {key}: {value}")
     for sentence in stale + report.get("warnings", []):
         _say(options, f"  Warning: {sentence}")
+    if picture is not None:
+        report["picture"] = str(picture)
+        _say(options, f"Wrote {picture}")
     _write_report(options, report)
     return OK
+
+
+def _draw_points(options, path: Path) -> Path:
+    from . import picture
+
+    target = _target(options, path, "_points").with_suffix(".png")
+    pixels = picture.draw(bpy.context, options.points)
+    _replacing(target, lambda place: colours.write_png(place, pixels))
+    return target
 
 
 def _chart(options) -> int:
@@ -291,6 +324,7 @@ def _settings(asked) -> dict:
         "error_target": round(asked.error_target, 6),
         "time_budget": asked.time_budget,
         "resolution": asked.resolution,
+        "exits": asked.exits.lower(),
         "seed": asked.seed,
     }
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.scene import Scene, SceneError, SceneObject
 from . import lamps, materials, visibility
-from .meshes import LAYER, Faces, are_numbers, read_attribute, read_faces, weight_of
+from .meshes import AT_VERTICES, LAYER, Faces, are_numbers, read_attribute, read_faces, weight_of
 
 GEOMETRY = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 NOT_TRACED = {"VOLUME": "a volume", "CURVES": "hair", "POINTCLOUD": "a point cloud", "GREASEPENCIL": "Grease Pencil"}
@@ -18,23 +18,37 @@ NOT_TRACED = {"VOLUME": "a volume", "CURVES": "hair", "POINTCLOUD": "a point clo
 
 @dataclass
 class _Part:
-    """One object or instance, in world space, with its place in the scene's lists."""
+    """One object or instance, in world space, with its place in the scene's lists.
+
+    loops: (T, 3) of its mesh, None unless it is lit at its vertices.
+    """
 
     positions: np.ndarray
     triangles: np.ndarray
     normals: np.ndarray
     uv: np.ndarray
     material: np.ndarray
+    loops: np.ndarray | None = None
 
 
-def extract(context: bpy.types.Context, *, resolution: int, albedo: bool = True) -> Scene:
+def extract(
+    context: bpy.types.Context,
+    *,
+    resolution: int,
+    albedo: bool = True,
+    looks: bool = True,
+    loops: dict[str, np.ndarray] | None = None,
+) -> Scene:
     """Read the scene as a render would show it.
 
     resolution: width and height of the atlas in pixels. albedo: bake maps of the materials that
     vary over a surface; without it they are their mean where that can be read and grey elsewhere,
-    enough for shadow rays. Raises SceneError, naming the object and what to do.
+    enough for shadow rays. looks: without them materials are not read at all, and only the shapes are right.
+    loops: filled with the mesh's loops (T, 3) of the scene's triangles, for each object that is lit at its vertices,
+    by name. Raises SceneError, naming the object and what to do.
     """
     warnings: list[str] = []
+    albedo = albedo and looks
     with visibility.as_rendered(context) as depsgraph:
         found = _read_parts(context, depsgraph, warnings)
         lights = lamps.read_lights(depsgraph, warnings)
@@ -58,9 +72,23 @@ def extract(context: bpy.types.Context, *, resolution: int, albedo: bool = True)
         sky=sky,
         warnings=warnings,
     )
-    materials.read_materials(context, scene, used, sources, resolution, bake=albedo)
+    if loops is not None:
+        loops.update(
+            {item.name: _loops(scene, k, parts[k], starts[k]) for k, item in enumerate(objects) if item.at_vertices}
+        )
+    if looks:
+        materials.read_materials(context, scene, used, sources, resolution, bake=albedo)
     scene.warnings[:] = dict.fromkeys(scene.warnings)
     return scene
+
+
+def _loops(scene, index, part, start):
+    """Loops of the object's triangles that the scene kept: it drops those without area."""
+    kept = scene.triangles[scene.triangle_object == index].astype(np.int64) - start
+    if len(kept) == len(part.loops):
+        return part.loops
+    base = np.array([len(part.positions) ** 2, len(part.positions), 1], np.int64)
+    return part.loops[np.isin(part.triangles @ base, kept @ base)]
 
 
 def _read_parts(context, depsgraph, warnings):
@@ -92,7 +120,8 @@ def _read_parts(context, depsgraph, warnings):
         slots = _slot_materials(obj, faces, override)
         lookup = np.array([index.setdefault(slot, len(index)) for slot in slots], np.int32)
         receives = _receives(instance, original, faces, warnings)
-        parts.append(_place(faces, instance.matrix_world, original if receives else None, lookup))
+        at_vertices = receives and AT_VERTICES in original
+        parts.append(_place(faces, instance.matrix_world, original if receives else None, lookup, at_vertices))
         objects.append(
             SceneObject(
                 name,
@@ -100,6 +129,7 @@ def _read_parts(context, depsgraph, warnings):
                 casts_shadow=bool(original.visible_shadow),
                 reflects=bool(original.visible_diffuse),
                 weight=weight_of(original),
+                at_vertices=at_vertices,
             )
         )
         sources.append(original)
@@ -203,7 +233,7 @@ def _slot_materials(obj, faces, override) -> list:
 
 
 def _receives(instance, original, faces, warnings) -> bool:
-    """Whether texels of the object exist: it was given a place and its layer survived its modifiers."""
+    """Whether the object takes light: at its vertices, or in texels, where its layer survived its modifiers."""
     name = original.name
     if getattr(getattr(original, "lightpanes", None), "exclude", False):
         return False
@@ -220,6 +250,8 @@ def _receives(instance, original, faces, warnings) -> bool:
         return False
     if not original.get("lightpanes_baked", 0.0):
         return False
+    if AT_VERTICES in original:
+        return True
     if faces.uv is None:
         warnings.append(
             f"'{name}' loses its UV layer '{LAYER}' in a modifier, so it receives no light: apply the modifier."
@@ -228,7 +260,7 @@ def _receives(instance, original, faces, warnings) -> bool:
     return True
 
 
-def _place(faces: Faces, matrix, receiver, lookup) -> _Part:
+def _place(faces: Faces, matrix, receiver, lookup, at_vertices) -> _Part:
     """Faces in world space; a mirroring matrix turns the winding, so that geometric normals stay outside."""
     world = np.array(matrix, np.float64)
     linear = world[:3, :3]
@@ -237,13 +269,14 @@ def _place(faces: Faces, matrix, receiver, lookup) -> _Part:
     cofactors = np.stack([np.cross(linear[(i + 1) % 3], linear[(i + 2) % 3]) for i in range(3)])
     positions = (faces.positions @ linear.T + world[:3, 3]).astype(np.float32)
     normals = faces.normals @ (cofactors * (-1.0 if mirrored else 1.0)).T
-    triangles, uv = faces.triangles.copy(), np.full((*faces.triangles.shape, 2), np.nan, np.float32)
-    if receiver is not None:
+    triangles, loops, uv = faces.triangles.copy(), faces.loops, np.full((*faces.triangles.shape, 2), np.nan, np.float32)
+    if receiver is not None and not at_vertices:
         scale = np.array(receiver.get("lightpanes_scale", (1.0, 1.0)), np.float32)
         offset = np.array(receiver.get("lightpanes_offset", (0.0, 0.0)), np.float32)
         uv = faces.uv * scale + offset
     if mirrored:
         triangles, normals, uv = triangles[:, ::-1].copy(), normals[:, ::-1], uv[:, ::-1]
+        loops = loops[:, ::-1]
     a, b, c = (positions[triangles[:, k]].astype(np.float64) for k in range(3))
     face_normals = np.cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=2)
@@ -251,7 +284,8 @@ def _place(faces: Faces, matrix, receiver, lookup) -> _Part:
     normals = np.where(flat[:, None, None], face_normals[:, None], normals)
     normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-30)
     slots = np.minimum(faces.slots, len(lookup) - 1)
-    return _Part(positions, triangles, normals.astype(np.float32), uv.astype(np.float32), lookup[slots])
+    loops = loops if at_vertices else None
+    return _Part(positions, triangles, normals.astype(np.float32), uv.astype(np.float32), lookup[slots], loops)
 
 
 def fingerprint(context: bpy.types.Context) -> dict[str, str]:

@@ -8,6 +8,8 @@ import bpy
 import numpy as np
 
 LAYER = "Lightpanes"
+# On objects that are lit at their vertices, 1.0: shaders read it.
+AT_VERTICES = "lightpanes_vertices"
 FARTHEST = 1e15  # m
 
 
@@ -16,13 +18,14 @@ class Faces:
     """The triangles of one evaluated mesh in its own space; shared by all its instances.
 
     positions (V, 3) float32; triangles (T, 3) int32; normals (T, 3, 3) float32; flat (T,) bool;
-    slots (T,) int32 material slot; uv (T, 3, 2) float32 or None where the layer is missing.
+    loops (T, 3) int32 of the mesh; slots (T,) int32 material slot; uv (T, 3, 2) float32 or None where the layer is missing.
     """
 
     positions: np.ndarray
     triangles: np.ndarray
     normals: np.ndarray
     flat: np.ndarray
+    loops: np.ndarray
     slots: np.ndarray
     uv: np.ndarray | None
 
@@ -63,6 +66,7 @@ def read_faces(mesh) -> Faces | None:
         vertices[corners].reshape(-1, 3),
         normals.reshape(-1, 3)[corners].reshape(-1, 3, 3),
         flat[polygons],
+        corners.reshape(-1, 3),
         slots[polygons],
         uv,
     )

@@ -11,7 +11,8 @@ import math
 import bpy
 
 from ..core.scene import Material, Scene
-from . import store
+from . import store, vertices
+from .meshes import AT_VERTICES
 
 GROUP = "Lightpanes"
 UV_LAYER = "Lightpanes"
@@ -342,34 +343,29 @@ def _make_group(scene) -> bpy.types.NodeTree:
     place = build.vector("ADD", build.vector("MULTIPLY", uv.outputs["UV"], scale), offset)
 
     light = build.image(store.find_image(scene, store.IRRADIANCE), place)
+    mapped = entrance.outputs["Albedo Map"]
     direct = store.find_image(scene, store.DIRECT)
     if direct is not None:
         share = build.vector("MULTIPLY", build.image(direct, place), entrance.outputs["Direct"])
         light = build.vector("ADD", light, share)
+    if vertices.lit(scene):
+        at_vertices = build.attribute(AT_VERTICES).outputs["Fac"]
+        light = build.mix(at_vertices, light, build.attribute(vertices.LIGHT, "GEOMETRY").outputs["Color"])
+        # no place in the atlas, so no albedo there
+        mapped = build.math("MULTIPLY", mapped, build.math("SUBTRACT", 1.0, at_vertices))
     albedo = build.vector("MULTIPLY", entrance.outputs["Albedo"], entrance.outputs["Tint"])
     baked_albedo = store.find_image(scene, store.ALBEDO)
     if baked_albedo is not None:
-        mix = build.node("ShaderNodeMix")
-        mix.data_type = "VECTOR"
-        group.links.new(entrance.outputs["Albedo Map"], mix.inputs[0])
-        group.links.new(albedo, mix.inputs[4])
-        group.links.new(build.image(baked_albedo, place), mix.inputs[5])
-        albedo = mix.outputs[1]
+        albedo = build.mix(mapped, albedo, build.image(baked_albedo, place))
     radiance = build.vector("MULTIPLY", build.vector("MULTIPLY", light, albedo), (1 / math.pi,) * 3)
 
     # Seen after a diffuse bounce it would be bounced light that bounces again.
-    fresh = build.node("ShaderNodeMath")
-    fresh.operation = "LESS_THAN"
-    group.links.new(build.node("ShaderNodeLightPath").outputs["Diffuse Depth"], fresh.inputs[0])
-    fresh.inputs[1].default_value = 0.5
-    strength = build.node("ShaderNodeMath")
-    strength.operation = "MULTIPLY"
-    group.links.new(fresh.outputs[0], strength.inputs[0])
-    group.links.new(build.attribute("lightpanes_baked").outputs["Fac"], strength.inputs[1])
+    fresh = build.math("LESS_THAN", build.node("ShaderNodeLightPath").outputs["Diffuse Depth"], 0.5)
+    strength = build.math("MULTIPLY", fresh, build.attribute("lightpanes_baked").outputs["Fac"])
 
     emission, add = build.node("ShaderNodeEmission"), build.node("ShaderNodeAddShader")
     group.links.new(radiance, emission.inputs["Color"])
-    group.links.new(strength.outputs[0], emission.inputs["Strength"])
+    group.links.new(strength, emission.inputs["Strength"])
     group.links.new(entrance.outputs["Shader"], add.inputs[0])
     group.links.new(emission.outputs[0], add.inputs[1])
     group.links.new(add.outputs[0], end.inputs["Shader"])
@@ -387,10 +383,20 @@ class _Builder:
         node.location = (200 * (len(self.group.nodes) - 1), 0)
         return node
 
-    def attribute(self, name: str):
+    def attribute(self, name: str, kind: str = "OBJECT"):
         node = self.node("ShaderNodeAttribute")
-        node.attribute_type, node.attribute_name = "OBJECT", name
+        node.attribute_type, node.attribute_name = kind, name
         return node
+
+    def mix(self, share, first, second):
+        node = self.node("ShaderNodeMix")
+        node.data_type = "VECTOR"
+        for value, socket in ((share, node.inputs[0]), (first, node.inputs[4]), (second, node.inputs[5])):
+            self.group.links.new(value, socket)
+        return node.outputs[1]
+
+    def math(self, operation: str, a, b):
+        return self._operate(self.node("ShaderNodeMath"), operation, a, b)
 
     def image(self, image, place):
         node = self.node("ShaderNodeTexImage")
@@ -399,11 +405,13 @@ class _Builder:
         return node.outputs["Color"]
 
     def vector(self, operation: str, a, b):
-        node = self.node("ShaderNodeVectorMath")
+        return self._operate(self.node("ShaderNodeVectorMath"), operation, a, b)
+
+    def _operate(self, node, operation, a, b):
         node.operation = operation
         for socket, value in zip(node.inputs, (a, b), strict=False):
-            if isinstance(value, tuple):
-                socket.default_value = value
-            else:
+            if isinstance(value, bpy.types.NodeSocket):
                 self.group.links.new(value, socket)
+            else:
+                socket.default_value = value
         return node.outputs[0]

@@ -35,11 +35,14 @@ class LIGHTPANES_PT_render(_Panel, bpy.types.Panel):
         column.prop(settings, "error_target")
         column.prop(settings, "time_budget")
         column.prop(settings, "resolution")
+        column.prop(settings, "exits")
         column.prop(settings, "seed")
         if baked:
             column = layout.column(heading="Show")
             column.prop(settings, "live")
             column.prop(settings, "cycles", text="In Cycles")
+            if store.find_points(scene) is not None:
+                column.prop(settings, "show_points")
             if not settings.live:
                 layout.operator("lightpanes.relight", icon="FILE_REFRESH")
             self._draw_result(layout, context)
@@ -72,10 +75,14 @@ class LIGHTPANES_PT_object(_Panel, bpy.types.Panel):
 
     def draw(self, context):
         self.layout.use_property_split = True
-        self.layout.prop(context.object.lightpanes, "exclude")
-        row = self.layout.row()
-        row.active = not context.object.lightpanes.exclude
-        row.prop(context.object.lightpanes, "weight")
+        settings = context.object.lightpanes
+        self.layout.prop(settings, "exclude")
+        column = self.layout.column()
+        column.active = not settings.exclude
+        column.prop(settings, "target")
+        row = column.row()
+        row.active = settings.target == "TEXTURE"
+        row.prop(settings, "weight")
 
 
 class LIGHTPANES_PT_light(_Panel, bpy.types.Panel):

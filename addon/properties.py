@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import BoolProperty, FloatProperty, IntProperty, PointerProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
 
 
 def _cycles_changed(_settings, context):
@@ -18,6 +18,12 @@ def _live_changed(settings, context):
         from . import relight
 
         relight.update(context.scene, context.evaluated_depsgraph_get())
+
+
+def _show_points_changed(_settings, _context):
+    from . import overlay
+
+    overlay.redraw()
 
 
 class SceneSettings(bpy.types.PropertyGroup):
@@ -45,6 +51,16 @@ class SceneSettings(bpy.types.PropertyGroup):
         max=4096,
         subtype="PIXEL",
     )
+    exits: EnumProperty(
+        name="Light At",
+        description="Where the bake gathers light",
+        items=(
+            ("AUTO", "Automatic", "At points where that is less work than at every texel"),
+            ("POINTS", "Points", "At points, dense where light changes, between which texels are interpolated"),
+            ("TEXELS", "Texels", "At every texel. Objects that are lit at their vertices need points all the same"),
+        ),
+        default="AUTO",
+    )
     live: BoolProperty(
         name="Live",
         description="Let the indirect light follow the lamps at once when they move or change",
@@ -59,6 +75,18 @@ class SceneSettings(bpy.types.PropertyGroup):
         default=False,
         update=_cycles_changed,
     )
+    show_points: EnumProperty(
+        name="Points",
+        description="Draw the points that hold the light in the 3D viewports",
+        items=(
+            ("NONE", "None", "No points"),
+            ("RADIUS", "Radius", "Coloured by the distance that they keep: dark where they are dense"),
+            ("AO", "Occlusion", "Coloured by ambient occlusion: dark where things are near"),
+            ("IRRADIANCE", "Irradiance", "Coloured by the light that they hold now"),
+        ),
+        default="NONE",
+        update=_show_points_changed,
+    )
     # Cycles' diffuse bounces before `cycles` set them to 0; -1 while it has not.
     diffuse_bounces: IntProperty(default=-1, options={"HIDDEN"})
     # The bake that belongs to the scene: changing this one pointer is the swap from the old bake to the new.
@@ -70,6 +98,19 @@ class ObjectSettings(bpy.types.PropertyGroup):
         name="Exclude",
         description="Keep this object out of the atlas: it gets no baked light, but still blocks and reflects it",
         default=False,
+    )
+    target: EnumProperty(
+        name="Light In",
+        description="Where this object keeps its baked light",
+        items=(
+            ("TEXTURE", "Texture", "In its place in the atlas"),
+            (
+                "VERTICES",
+                "Vertices",
+                "In the colour attribute lightpanes_irradiance of its mesh: no UV layer, no place in the atlas",
+            ),
+        ),
+        default="TEXTURE",
     )
     weight: FloatProperty(
         name="Weight",

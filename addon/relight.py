@@ -20,7 +20,7 @@ from ..core.bake import BakeError
 from ..core.panes import Relighter
 from ..core.rays import Tracer
 from ..core.scene import Light, SceneError
-from . import extract, lamps, store, visibility
+from . import extract, lamps, meshes, overlay, points, store, vertices, visibility
 
 
 @dataclass
@@ -34,6 +34,9 @@ class Session:
     static: dict[str, str] = field(default_factory=dict)  # keys of the lamps that are baked in, by name
     panes: bool = True  # whether the bake holds any
     stale: tuple[str, ...] = ()
+    followed: str = ""  # key of the surfaces where the points are
+    moved: tuple[str, ...] = ()  # what to say about that
+    wrote_meshes: bool = False  # light went to vertices, and Blender has yet to report that these meshes changed
     milliseconds: float = 0.0
     error: str = ""
 
@@ -136,8 +139,29 @@ def check_stale(context: bpy.types.Context) -> tuple[str, ...]:
     if current is None or meta is None or "fingerprint" not in meta:
         return ()
     shining = lamps.read_lights(context.evaluated_depsgraph_get(), [])
-    current.stale = differences(meta["fingerprint"], extract.fingerprint(context)) + _lamp_changes(current, shining)
+    now = extract.fingerprint(context)
+    current.stale = differences(meta["fingerprint"], now) + _follow(context, current, meta, now)
+    current.stale += _lamp_changes(current, shining)
     return current.stale
+
+
+def _follow(context, current: Session, meta: dict, now: dict[str, str]) -> tuple[str, ...]:
+    """Let the points follow what has moved, and say how far; the scene is read only where it differs from last time."""
+    if points.mesh_of(context.scene) is None:
+        return ()
+    key = repr(sorted(now.items()))
+    if key == current.followed:
+        return current.moved
+    if extract.changed_objects(meta["fingerprint"], now):
+        with paused():
+            try:
+                surfaces = extract.extract(context, resolution=16, looks=False)
+            except SceneError:
+                return ()  # everything is hidden or broken, which the other sentences say
+    else:
+        surfaces = None
+    current.followed, current.moved = key, points.follow(context.scene, meta, surfaces)
+    return current.moved
 
 
 def _lamp_changes(current: Session, shining) -> tuple[str, ...]:
@@ -203,11 +227,18 @@ def lamp_key(lights: Iterable[Light]) -> str:
 def _apply(context, scene, current: Session, lights):
     relighter = _relighter(context, scene, current)
     begin = time.perf_counter()
-    store.write_irradiance(scene, relighter.relight(lights))
+    light = relighter.light(lights)
+    if relighter.panes.shown is not None:
+        points.show(scene, relighter.rows(light))
+    told = vertices.show(scene, relighter.vertices(light))
+    current.wrote_meshes = relighter.panes.vertices is not None
+    store.write_irradiance(scene, relighter.image(light))
     current.milliseconds = 1000 * (time.perf_counter() - begin)
     current.shown = lamp_key(lights)
     current.last = {light.name: light for light in lights}
     current.error = ""
+    if told:
+        raise SceneError(" ".join(told))
 
 
 def _relighter(context, scene, current: Session) -> Relighter:
@@ -231,7 +262,10 @@ def _on_update(scene, depsgraph):
     # One relight for all that happens before Blender is idle again.
     if not bpy.app.timers.is_registered(_update_later):
         bpy.app.timers.register(_update_later, first_interval=0.0)
-    if any(_may_stale(session(scene), change) for change in depsgraph.updates):
+    current = session(scene)
+    edits = [change for change in depsgraph.updates if _may_stale(current, change)]
+    current.wrote_meshes = False
+    if edits:
         if bpy.app.timers.is_registered(_stale_later):
             bpy.app.timers.unregister(_stale_later)
         bpy.app.timers.register(_stale_later, first_interval=STALE_DELAY)
@@ -244,8 +278,10 @@ def _may_stale(current: Session, change) -> bool:
     )
     if lamp:
         return bool(current.static) or not current.panes
-    edited = change.is_updated_geometry or change.is_updated_transform
-    return isinstance(change.id, bpy.types.Object) and edited
+    if not isinstance(change.id, bpy.types.Object) or store.TAG in change.id:
+        return False
+    own = current.wrote_meshes and meshes.AT_VERTICES in change.id
+    return change.is_updated_transform or (change.is_updated_geometry and not own)
 
 
 def _update_later():
@@ -267,6 +303,7 @@ def _redraw_panel():
         for area in window.screen.areas:
             if area.type == "PROPERTIES":
                 area.tag_redraw()
+    overlay.redraw()
 
 
 @persistent
@@ -302,7 +339,7 @@ def _on_rendered(*_):
 def _on_undo(scene, *_):
     """Undo brings back an image's packed pixels or keeps its last ones: neither need be what the lamps now ask for."""
     for current in _sessions.values():
-        current.shown = ""
+        current.shown = current.followed = ""
         current.error = ""
     update(scene, bpy.context.evaluated_depsgraph_get())
 

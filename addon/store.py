@@ -32,6 +32,8 @@ META = "lightpanes_meta"
 LAYOUT = "lightpanes_layout"
 POINTS_KEY = "lightpanes_points"
 SHAPE = "lightpanes_shape"
+# Attributes of the points' mesh that hold what a bake found where `points.follow` has moved the points since.
+REST = "rest_{}"
 
 FORMAT = 1
 _ATTRIBUTE_TYPES = {(): "FLOAT", (2,): "FLOAT2", (3,): "FLOAT_VECTOR", (4,): "FLOAT_COLOR"}
@@ -242,7 +244,8 @@ def _read_points(mesh, specs: dict) -> dict[str, np.ndarray]:
     points = mesh.get(POINTS_KEY)
     if points is None:
         raise ValueError(f"the object '{POINTS}' has been deleted")
-    return {name: _read_attribute(points.data, name, *spec) for name, spec in specs.items()}
+    moved = {name: REST.format(name) for name in specs if REST.format(name) in points.data.attributes}
+    return {name: _read_attribute(points.data, moved.get(name, name), *spec) for name, spec in specs.items()}
 
 
 def _write_vertices(name: str, arrays: dict, made: list) -> tuple[bpy.types.Mesh, dict]:

@@ -8,7 +8,7 @@ from .scene import Scene, SceneError
 
 EXITS = ("auto", "points", "texels")
 
-POINTS_PAY = 6
+POINTS_PAY = 8
 """Rays of texels over those of points at which points begin to be the cheaper exits."""
 
 
@@ -84,8 +84,8 @@ def plan(scene: Scene, settings: Settings) -> Budget:
         regions=_clamp(192 * finer**0.3, 48, 256),
         panes=16 if finer <= 2 else 24,
         lamps=_clamp(1400 * finer**0.5, 400, 4000),
-        points=_clamp(8000 * finer, 1000, 14_000),
-        point_rays=_clamp(512 * finer**0.5, 128, 1024),
+        points=_clamp(10_000 * finer, 1000, 20_000),
+        point_rays=_clamp(768 * finer**0.5, 128, 2048),
     )
     given = {name: value for name in Budget.__dataclass_fields__ if (value := getattr(settings, name)) is not None}
     return replace(budget, **given)

@@ -7,6 +7,7 @@ import numpy as np
 from ..panes.exits import gather_panes
 from ..panes.modes import Modes
 from ..panes.weights import PaneWeights
+from ..point_cache import Weights
 from ..surface import SurfaceSamples
 from ..transfer import Entries, Transport
 from .steps import Prepared, own_region
@@ -54,42 +55,66 @@ def gather_noise(made: Prepared, seed: int) -> float:
     rows = np.concatenate(chosen)
     region = np.repeat(np.arange(len(chosen)), [len(c) for c in chosen])
     some = made.exits.samples.take(rows)
-    first, second = (_fresh(made, some, region, made.budget.exit_rays, seed + salt) for salt in (71, 72))
+    first, second = (fresh_values(made, some, region, made.budget.exit_rays, seed + salt) for salt in (71, 72))
+    first, second = first.sum(axis=1), second.sum(axis=1)
     mean = 0.5 * float((first + second).mean())
     return float(np.sqrt(0.5 * ((first - second) ** 2).mean()) / 4 / mean) if mean > 0 else 0.0
 
 
 def interpolation_error(made: Prepared, stored: Stored, seed: int) -> float:
-    """Relative RMSE at single texels of what the points give, their own noise included, against two fresh gathers whose
-    noise cancels out."""
-    places, shown = (made.exits, stored.texels) if len(made.exits) else (made.vertices, stored.vertices)
+    """Relative RMSE on 4×4-texel blocks of what the points give, their own noise included, against two fresh gathers
+    whose noise cancels out; mean over lamps not trained on. Without texels, at single vertices."""
+    at_texels = len(made.exits) > 0
+    places, shown = (made.exits, stored.texels) if at_texels else (made.vertices, stored.vertices)
     chosen = np.flatnonzero(~shown.orphan)
-    chosen = np.sort(np.random.default_rng(seed).permutation(chosen)[:PROBES])
+    if at_texels:
+        size = made.exits.resolution
+        block = made.exits.index[chosen] // size // 4 * size + made.exits.index[chosen] % size // 4
+    else:
+        block = chosen
+    names, block = np.unique(block, return_inverse=True)
+    picked = np.random.default_rng(seed).permutation(len(names))[: PROBES // 16 if at_texels else PROBES]
+    mine = np.isin(block, picked)
+    chosen, block = chosen[mine], np.unique(block[mine], return_inverse=True)[1]
     some = places.samples.take(chosen)
     region = own_region(made, some)
     order = np.argsort(region, kind="stable")
-    some, region, chosen = some.take(order), region[order], chosen[order]
-    first, second = (_fresh(made, some, region, PROBE_RAYS, seed + salt) for salt in (71, 72))
+    some, region, chosen, block = some.take(order), region[order], chosen[order], block[order]
     known = np.repeat(np.arange(len(stored.starts) - 1), np.diff(stored.starts))
-    values = _values(made, stored.rows, known)
-    found = type(shown)(shown.point[chosen], shown.weight[chosen]).apply(values)
-    mean = 0.5 * float((first + second).mean())
-    return float(np.sqrt(max(float(((found - first) * (found - second)).mean()), 0)) / mean) if mean > 0 else 0.0
+    found = Weights(shown.point[chosen], shown.weight[chosen]).apply(pane_values(made, stored.rows, known))
+    fresh = [fresh_values(made, some, region, PROBE_RAYS, seed + salt) for salt in (71, 72)]
+    found, first, second = (_block_means(values, block) for values in (found, *fresh))
+    mean = 0.5 * (first + second).mean(axis=0)
+    lit = mean > 1e-6 * mean.max(initial=0)
+    square = ((found - first) * (found - second)).mean(axis=0)
+    return float(np.mean(np.sqrt(np.maximum(square[lit], 0)) / mean[lit])) if lit.any() else 0.0
 
 
-def _fresh(made: Prepared, some: SurfaceSamples, region: np.ndarray, rays: int, seed: int) -> np.ndarray:
-    """(n, 3) irradiance of samples, sorted by region, from a gather of their own."""
+def _block_means(values, block):
+    """(blocks, s) means of values (n, s)."""
+    sums = np.zeros((int(block.max(initial=-1)) + 1, values.shape[1]), np.float32)
+    np.add.at(sums, block, values)
+    return sums / np.bincount(block)[:, None]
+
+
+def fresh_values(made: Prepared, some: SurfaceSamples, region: np.ndarray, rays: int, seed: int) -> np.ndarray:
+    """(n, s) irradiance of samples, sorted by region, from a gather of their own; see `pane_values`."""
     starts = np.concatenate([[0], np.cumsum(np.bincount(region, minlength=made.modes.regions))])
     rows = gather_panes(made.gatherer, some, starts, made.tables, rays, seed)
-    return _values(made, rows, region)
+    return pane_values(made, rows, region)
 
 
-def _values(made, rows, region):
-    """(n, 3) irradiance that rows (n, c) of regions (n,) show under all test lamps at once; without any, that of the
-    light that no lamp changes."""
+def pane_values(made: Prepared, rows: np.ndarray, region: np.ndarray) -> np.ndarray:
+    """(n, s) irradiance that rows (n, c) of regions (n,) show under the test lamps, three of which take red, green and
+    blue; without any, that of the light that no lamp changes."""
     k = made.modes.panes
     if made.test_direct is None:
         return rows[:, k : k + 3]
-    light = np.repeat(made.test_direct.mean(axis=1, keepdims=True), 3, axis=1)
-    value = made.weights.of(light).reshape(-1, k, 3)[region]
-    return np.einsum("nk,nkc->nc", rows[:, :k], value)
+    lamps = made.test_direct
+    values = [made.weights.of(np.ascontiguousarray(lamps[:, s : s + 3])) for s in range(0, lamps.shape[1], 3)]
+    value = np.concatenate(values, 1).reshape(made.modes.regions, k, -1)
+    result = np.empty((len(rows), lamps.shape[1]), np.float32)
+    for r in np.unique(region):
+        own = np.flatnonzero(region == r)
+        result[own] = rows[own, :k] @ value[r]
+    return result

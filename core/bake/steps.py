@@ -89,7 +89,8 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
 
     clock.start("Entries")
     # points need not ask of each texel: those that a point serves are not buried
-    pilot = texels.samples.take(slice(None, None, -(-len(texels) // PILOTS) if at_points else 1)).join(vertices.samples)
+    step = max(-(-len(texels) // PILOTS), 1) if at_points else 1
+    pilot = texels.samples.take(slice(None, None, step)).join(vertices.samples)
     entries, buried, is_buried = find_entries(scene, patches, bvh, pilot, tracer.offset, seed)
     if buried.all():
         buried[:] = False

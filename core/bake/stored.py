@@ -14,7 +14,7 @@ from ..point_cache import PointSet, Weights, gather_gradients, lamp_radius, make
 from .clock import Clock
 from .steps import Prepared, own_region
 
-DENSER = 4
+DENSER = 3
 """Stored points for each gathered one: what they alone lose is then less than what the gathered ones do."""
 
 
@@ -36,7 +36,9 @@ def bake_points(made: Prepared, seed: int, clock: Clock) -> Stored:
     """Find both sets of points, gather, and carry the panes to what is stored."""
     budget = made.budget
     clock.start("Points", 5)
-    ground = survey(made.scene, made.patches, made.bvh, made.tracer.offset, seed, seen=made.places, count=budget.points)
+    # an entry of which only a sliver looks out from under a thing has its places under that thing
+    seen = made.places.take(~made.is_buried(made.places))
+    ground = survey(made.scene, made.patches, made.bvh, made.tracer.offset, seed, seen=seen, count=budget.points)
     clock.tick(1, 0)
     radius = lamp_radius(ground, made.gatherer, made.guide, seed + 3)
     clock.tick(1, 0)

@@ -13,7 +13,7 @@ from ..surface import Patches, SurfaceSamples
 from ..surface.patches import bisect
 from ..transfer import Gatherer
 from . import guides
-from .darts import PACKING, Darts, Fragments, throw
+from .darts import PACKING, Fragments, throw
 from .gradients import gather_gradients
 from .points import PointSet
 from .sources import Sources, flood_sources, thin_out
@@ -28,6 +28,12 @@ LOOKS = 1_500
 """Points of the coarse set, about, at which lamps are asked; LOOK_RAYS rays each."""
 
 LOOK_RAYS = 128
+
+FEWER = 4
+"""Darts for each point of the coarse set, which need not be full."""
+
+STRIDE = 2.0
+"""Distance of the points that look for more sources, over that of the coarse set."""
 
 GROWTH = 4
 """Rounds in which points that were found help to find more."""
@@ -72,8 +78,8 @@ def survey(
 ) -> Ground:
     """Throw the coarse set from the flood's sources, and look around from it.
 
-    places: (m, 3) where lamps may stand beside those of the scene, m. seen: more places that light reaches, whatever
-    lamps there are now; with them, lamps may go anywhere. count: of the coarse set, about, held within COARSE.
+    places: (m, 3) where lamps may stand beside those of the scene, m. seen: places that light reaches wherever lamps go,
+    in place of the flood's. count: of the coarse set, about, held within COARSE.
     """
     size = float(np.sqrt(PACKING * patches.area.sum() / np.clip(count, *COARSE)))
     triangles = np.unique(patches.parent)
@@ -82,34 +88,33 @@ def survey(
     area = 0.5 * np.linalg.norm(cross.astype(np.float64), axis=1)
     whole = np.full(2 * len(parent), size, np.float32)
     fragments = Fragments(triangles[parent].astype(np.int32), weights, area, whole)
-    place, normal = flood_sources(scene, patches, bvh, offset, size, seed, places)
-    if seen is not None:
-        more = thin_out(seen.position, seen.flat, size)
-        place, normal = np.concatenate([place, more[0]]), np.concatenate([normal, more[1]])
-    sources = Sources(place, normal, bvh, 1.5 * size, offset)
     if seen is None:
-        found = _grow(scene, fragments, sources, bvh, size, offset, seed)
+        place, normal = flood_sources(scene, patches, bvh, offset, size, seed, places)
+        place, normal = _grow(scene, fragments, place, normal, bvh, size, offset, seed)
     else:
-        found = throw(scene, fragments, lambda s: sources.see(s.position, s.flat), seed)
-    coarse = found.samples
+        place, normal = thin_out(seen.position, seen.flat, size)
+    sources = Sources(place, normal, bvh, 1.5 * size, offset)
+    coarse = throw(scene, fragments, lambda s: sources.see(s.position, s.flat), seed, darts=FEWER).samples
     sources = Sources(coarse.position, coarse.flat, bvh, 1.5 * size, offset)
     ground = Ground(scene, bvh, offset, coarse, size, np.ones(0), np.ones(0), fragments, sources)
     ground.ao, ground.harmonic = guides.surroundings(coarse, bvh, ground.reach, RAYS, offset, seed + 1)
     return ground
 
 
-def _grow(scene, fragments, sources, bvh, size, offset, seed) -> Darts:
-    """The coarse set; points that were found stand by as sources until they find no more."""
-    found = throw(scene, fragments, lambda s: sources.see(s.position, s.flat), seed)
+def _grow(scene, fragments, place, normal, bvh, size, offset, seed):
+    """More sources, where few of the flood's particles came: what a source sees becomes one, until there are no more."""
+    wide = STRIDE * size
+    loose = Fragments(fragments.parent, fragments.weights, fragments.area, fragments.radius * np.float32(STRIDE))
+    before = 0
     for _ in range(GROWTH):
-        before = len(found.radius)
-        place = np.concatenate([sources.place, found.samples.position])
-        normal = np.concatenate([sources.normal, found.samples.flat])
-        sources = Sources(*thin_out(place, normal, size), bvh, 1.5 * size, offset)
-        found = throw(scene, fragments, lambda s, by=sources: by.see(s.position, s.flat), seed)
-        if len(found.radius) <= 1.01 * before:
+        sources = Sources(place, normal, bvh, wide, offset)
+        found = throw(scene, loose, lambda s, by=sources: by.see(s.position, s.flat), seed, darts=FEWER).samples
+        place, normal = np.concatenate([place, found.position]), np.concatenate([normal, found.flat])
+        place, normal = thin_out(place, normal, size)
+        if len(found) <= 1.01 * before:
             break
-    return found
+        before = len(found)
+    return place, normal
 
 
 def lamp_radius(ground: Ground, gatherer: Gatherer, table: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -125,6 +130,8 @@ def lamp_radius(ground: Ground, gatherer: Gatherer, table: np.ndarray, seed: int
     steep = (found[:, 4:7] ** 2).sum(axis=1)
     mean = np.maximum(found[:, 0].mean(axis=0), 1e-30)
     gradient = np.sqrt((steep / mean**2).mean(axis=1))
+    # of logarithms: one place that no lamp lights would make its neighbours' mean 0
+    gradient = np.maximum(gradient, 1e-3 * gradient.max(initial=1e-20))
     there = guides.spread(gradient, some, guides.NEAR * apart, coarse.position, coarse.flat)[:, 0]
     there = np.where(np.isfinite(there), there, np.sqrt((gradient**2).mean()))
     return guides.by_lamps(ground.harmonic, there.astype(np.float32))
@@ -141,13 +148,14 @@ def make_points(
     """About `count` points whose radius follows `radius` (coarse points,) in any unit. how: as for `throw`."""
     scene, size = ground.scene, ground.size
     even = size * np.sqrt(len(ground.coarse) / max(count, 1))
-    wanted = guides.limit(radius * np.float32(even / np.exp(np.log(radius).mean())), ground.coarse, guides.NEAR * size)
+    middle = np.exp(np.log(radius).mean()) if len(radius) else 1.0
+    wanted = guides.limit(radius * np.float32(even / middle), ground.coarse, guides.NEAR * size)
     fragments = ground.fragments
     asked = _at_fragments(ground, wanted)
     fragments = Fragments(fragments.parent, fragments.weights, fragments.area, asked)
     fragments = fragments.scaled(count, FINEST * even, LARGEST * even)
     darts = throw(scene, fragments, lambda s: ground.sources.see(s.position, s.flat), seed, tick=tick, **how)
-    ao, _ = guides.surroundings(darts.samples, ground.bvh, ground.reach, RAYS, ground.offset, seed + 2)
+    ao = guides.openness(darts.samples, ground.bvh, ground.reach, RAYS, ground.offset, seed + 2)
     return PointSet(darts.samples, darts.radius, ao, darts.back)
 
 
@@ -159,9 +167,9 @@ def _at_fragments(ground, radius):
     flat = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30)
     near = guides.NEAR * ground.size
     result = guides.spread(radius, ground.coarse, near, middle, flat).reshape(-1)
-    # a wire that no coarse dart hit: its own look, with the radius of whatever is near
+    # a wire that no coarse dart hit: its own look
     lost = np.flatnonzero(np.isnan(result))
     side = np.where(lost % 2, -1, 1).astype(np.float32)[:, None] * flat[lost // 2]
     seen = ground.sources.see(middle[lost // 2], side)
-    result[lost[seen]] = radius.min(initial=np.inf)
+    result[lost[seen]] = np.median(radius) if len(radius) else ground.size
     return result

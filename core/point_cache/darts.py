@@ -17,17 +17,19 @@ from ..scene import Scene
 from ..surface import SurfaceSamples, no_samples, sample_triangles
 from .grid import LevelGrid, in_chunks
 
-PACKING = 0.696
-"""Points per r² of area when no more fit: random discs of radius r/2 cover 0.547 (Feder 1980)."""
+PACKING = 0.6
+"""Points per r² of area that DARTS darts each bring about; no more than 0.696 would ever fit (Feder 1980)."""
 
 DARTS = 8
-"""Darts for each wanted point."""
+"""Darts for each point that fits."""
 
 LIKE = 0.5
 """Cosine of the angle between normals up to which points keep their distance."""
 
 FLAT = 0.5
 """Points whose connection rises more than this over the surface, relative to its length, lie on different sheets."""
+
+LARGEST_BATCH = 524_288
 
 WINDOW = 16_384
 """Darts over which the hit rate is judged."""
@@ -90,15 +92,18 @@ def throw(
     seed: int = 0,
     count: int | None = None,
     batch: int = 65_536,
+    darts: int = DARTS,
     tick: Callable[[int], None] | None = None,
 ) -> Darts:
     """Throw darts until the surface is full, or `count` stick.
 
-    reached(samples): (n,) bool, whether light gets there. batch: darts handled together; it changes nothing but time.
+    reached(samples): (n,) bool, whether light gets there. batch: darts handled together at first, then as many as were
+    thrown before; it changes nothing but time.
+    darts: thrown for each point that fits.
     tick(darts thrown) follows each batch.
     """
     density = fragments.density()
-    limit = int(DARTS * PACKING * density.sum()) + 64
+    limit = int(darts * PACKING * density.sum()) + 64
     # float64: the smallest fragments' shares are below float32's steps
     total = np.cumsum(density)
     low = scene.positions.min(axis=0)
@@ -110,7 +115,7 @@ def throw(
     )
     at, stuck = 0, 0
     while at < limit and total[-1] > 0:
-        number = np.arange(at, min(at + batch, limit))
+        number = np.arange(at, min(at + max(batch, min(at, LARGEST_BATCH)), limit))
         samples, r, back = _place(scene, fragments, total, number, seed)
         free = np.flatnonzero(~_conflicts(grid, position, normal, radius, samples, r))
         free = free[reached(samples.take(free))]
@@ -169,14 +174,20 @@ def _place(scene, fragments, total, number, seed):
     return sample_triangles(scene, fragments.parent[side // 2], weights).on_side(scene, back), radius, back
 
 
-def conflict(a: tuple, b: tuple, slack: float = 1.0) -> np.ndarray:
-    """(m,) bool: pairs on one surface that are closer than the smaller radius; a, b: (position, normal, radius)."""
-    apart = b[0] - a[0]
+def conflicting(
+    query: np.ndarray, point: np.ndarray, one: tuple[np.ndarray, ...], other: tuple[np.ndarray, ...]
+) -> np.ndarray:
+    """Which of the pairs (query, point) lie on one surface and are closer than the smaller radius: their rows.
+
+    one, other: (position, normal, radius) arrays that `query` and `point` are rows of.
+    """
+    apart = other[0].take(point, axis=0) - one[0].take(query, axis=0)
     distance2 = np.einsum("nd,nd->n", apart, apart)
-    near = distance2 < (slack * np.minimum(a[2], b[2])) ** 2
-    near &= np.einsum("nd,nd->n", a[1], b[1]) > LIKE
-    rise = np.abs(np.einsum("nd,nd->n", apart, a[1] + b[1])) / 2
-    return near & (rise <= FLAT * np.sqrt(distance2))
+    near = np.flatnonzero(distance2 < np.minimum(one[2].take(query), other[2].take(point)) ** 2)
+    mine, yours = one[1].take(query[near], axis=0), other[1].take(point[near], axis=0)
+    alike = np.einsum("nd,nd->n", mine, yours) > LIKE
+    rise = np.abs(np.einsum("nd,nd->n", apart[near], mine + yours)) / 2
+    return near[alike & (rise <= FLAT * np.sqrt(distance2[near]))]
 
 
 def _conflicts(grid, position, normal, radius, samples, r):
@@ -186,10 +197,15 @@ def _conflicts(grid, position, normal, radius, samples, r):
         return found
 
     def part(s):
-        here = samples.position[s], samples.normal[s], r[s]
-        query, point = grid.pairs(here[0], here[2])
-        bad = conflict(tuple(v[query] for v in here), (position[point], normal[point], radius[point]))
-        found[s][query[bad]] = True
+        bad = np.zeros(s.stop - s.start, bool)
+        # most meet a rival in their own cell
+        for own in (True, False):
+            left = np.flatnonzero(~bad)
+            here = samples.position[s][left], samples.normal[s][left], r[s][left]
+            query, point = grid.pairs(here[0], here[2], own)
+            rows = conflicting(query, point, here, (position, normal, radius))
+            bad[left[query[rows]]] = True
+        found[s] = bad
 
     in_chunks(part, len(r))
     return found
@@ -199,22 +215,21 @@ def first_come(samples: SurfaceSamples, r: np.ndarray, low: np.ndarray) -> np.nd
     """(m,) int64: of darts in the order of their rows, those that stick: each whose earlier rivals do not.
 
     r: (n,) m. low: (3,) least coordinates, m.
-
     Rounds of Luby's kind: all darts without an undecided earlier rival stick at once; their later rivals fall.
     """
     count = len(r)
     if not count:
         return np.zeros(0, np.int64)
     grid = LevelGrid(low).fill(samples.position, r)
+    all_ = samples.position, samples.normal, r
 
     def part(s):
         query, point = grid.pairs(samples.position[s], r[s])
-        query = query + s.start
-        earlier = point < query
+        query = query + np.int32(s.start)
+        earlier = np.flatnonzero(point < query)
         query, point = query[earlier], point[earlier]
-        pick = lambda rows: (samples.position[rows], samples.normal[rows], r[rows])  # noqa: E731
-        bad = conflict(pick(query), pick(point))
-        return query[bad], point[bad]
+        rows = conflicting(query, point, all_, all_)
+        return query[rows], point[rows]
 
     parts = in_chunks(part, count)
     late, early = (np.concatenate([p[k] for p in parts]) for k in (0, 1))

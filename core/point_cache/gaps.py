@@ -11,7 +11,7 @@ from ..surface import SurfaceSamples
 from . import guides
 from .build import RAYS, Ground
 from .darts import first_come
-from .interpolation import Interpolator, Weights
+from .interpolation import Interpolator, Weights, widen
 from .points import PointSet
 
 
@@ -38,7 +38,7 @@ def serve(
         return points, found
     order = lost[np.argsort(hash_uint32(lost, 31, seed), kind="stable")]
     some = places.take(order)
-    kept = first_come(some, guides.nearest_radius(points, some.position), places.position.min(axis=0))
+    kept = first_come(some, _radius(points, some, ground), places.position.min(axis=0))
     points = points.join(_own(points, some.take(kept), ground, seed + 3))
     again = Interpolator(points, bvh, offset).weights(places.take(lost), kernel)
     still = np.flatnonzero(again.orphan)
@@ -47,12 +47,20 @@ def serve(
         again.point[still, 0] = len(points) + np.arange(len(still))
         again.weight[still, 0] = 1
         points = points.join(_own(points, places.take(lost[still]), ground, seed + 4))
+    width = max(found.point.shape[1], again.point.shape[1])
+    found, again = (Weights(widen(w.point, width), widen(w.weight, width)) for w in (found, again))
     found.point[lost], found.weight[lost] = again.point, again.weight
     return points, found
 
 
 def _own(points, places, ground, seed):
     """The places as points, with the radius of the points around them."""
-    ao, _ = guides.surroundings(places, ground.bvh, ground.reach, RAYS, ground.offset, seed)
-    radius = guides.nearest_radius(points, places.position)
-    return PointSet(places, radius, ao, places.behind(ground.scene))
+    ao = guides.openness(places, ground.bvh, ground.reach, RAYS, ground.offset, seed)
+    return PointSet(places, _radius(points, places, ground), ao, places.behind(ground.scene))
+
+
+def _radius(points, places, ground):
+    """(q,) float32 m: that of the points around; where light gets nowhere yet, that of the coarse set."""
+    if not len(points):
+        return np.full(len(places), ground.size, np.float32)
+    return guides.nearest_radius(points, places.position)

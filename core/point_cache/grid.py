@@ -128,7 +128,7 @@ class LevelGrid:
             cell = np.floor(local / self._cells(level)).astype(np.int64)
             keys[k] = self._hash(cell, level)
         keys = keys.reshape(-1)
-        order = np.argsort(keys, kind="stable")
+        order = np.argsort(keys)
         self.point = (order % max(count, 1)).astype(np.int32)
         self.table = np.concatenate([[0], np.cumsum(np.bincount(keys, minlength=self.size))])
         return self

@@ -13,13 +13,17 @@ from collections.abc import Callable
 import numpy as np
 
 from ..rays import Bvh, chunks, in_threads, product3
-from ..sampling import cosine_hemisphere, frame, hammersley_points, hash_uniform
+from ..sampling import cosine_hemisphere, hammersley_points
 from ..surface import SurfaceSamples
+from ..transfer.gather import turns
 from .grid import LevelGrid, in_chunks
 from .points import PointSet
 
 REACH = 0.15
 """Distance within which things occlude, over the scene's extent."""
+
+LENGTHS = 0.5497004779019703
+"""Third of the sequence R3 (Roberts, 2018): even beside the directions, whose own ratio's multiples would follow them."""
 
 RATIO = 12.0
 """Largest radius over the smallest."""
@@ -43,11 +47,7 @@ def surroundings(
     ao, harmonic = np.empty(len(samples), np.float32), np.empty(len(samples), np.float32)
 
     def part(s):
-        tangent, bitangent = frame(samples.normal[s])
-        angle = np.float32(2 * np.pi) * hash_uniform(np.arange(s.start, s.stop), 5, seed)[:, None]
-        cos, sin = np.cos(angle), np.sin(angle)
-        axes = np.stack([tangent * cos + bitangent * sin, bitangent * cos - tangent * sin, samples.normal[s]])
-        axes = axes.reshape(3, -1)
+        axes = turns(samples.normal[s], s, seed).reshape(3, -1)
         origins = np.ascontiguousarray(samples.position[s] + samples.flat[s] * np.float32(offset))
         pattern = cosine_hemisphere(hammersley_points(rays, seed + s.start)).astype(np.float32)
         open_, inverse = np.zeros(len(origins), np.float32), np.zeros(len(origins), np.float32)
@@ -64,6 +64,27 @@ def surroundings(
 
     in_threads(part, chunks(len(samples), 4096))
     return ao, harmonic
+
+
+def openness(
+    samples: SurfaceSamples, bvh: Bvh, reach: float, rays: int, offset: float, seed: int = 0
+) -> np.ndarray:  # fmt: skip
+    """(n,) float32: the openness of `surroundings` alone, in half the time: each ray asks only whether anything is
+    nearer than its own part of the reach, and the parts are spread evenly."""
+    result = np.empty(len(samples), np.float32)
+
+    def part(s):
+        axes = turns(samples.normal[s], s, seed).reshape(3, -1)
+        origins = np.ascontiguousarray(samples.position[s] + samples.flat[s] * np.float32(offset))
+        pattern = cosine_hemisphere(hammersley_points(rays, seed + s.start)).astype(np.float32)
+        length = np.float32(reach) * ((np.arange(rays) * LENGTHS + 0.5 / rays) % 1).astype(np.float32)
+        blocked = np.zeros(len(origins), np.float32)
+        for row, far in zip(pattern, length, strict=True):
+            blocked += bvh.occluded(origins, product3(row[None] * far, axes).reshape(-1, 3))
+        result[s] = 1 - blocked / np.float32(rays)
+
+    in_threads(part, chunks(len(samples), 4096))
+    return result
 
 
 def uniform(samples: SurfaceSamples) -> np.ndarray:
@@ -133,10 +154,17 @@ def nearest_radius(points: PointSet, position: np.ndarray) -> np.ndarray:
     """(q,) float32 m: the least radius of the points within whose own radius a place (q, 3) is, whichever way they
     face; where there are none, the least of all."""
     least = np.full(len(position), np.inf, np.float32)
-    grid, reach = _ball_grid(points.position, float(np.median(points.radius)))
-    for s in chunks(len(position), 16_384):
-        query, point = grid.pairs(position[s], np.full(s.stop - s.start, reach[0], np.float32))
-        np.minimum.at(least[s], query, points.radius[point])
+    grid = LevelGrid(points.position.min(axis=0)).fill(points.position, points.radius)
+    level = grid.levels(points.radius)
+    for own in np.unique(level):
+        reach = points.radius[level == own].max()
+        rest = np.flatnonzero(np.isinf(least))
+        for s in chunks(len(rest), 16_384):
+            query, point = grid.pairs(position[rest[s]], np.full(len(rest[s]), reach, np.float32))
+            query = rest[s][query]
+            apart = points.position[point] - position[query]
+            holds = (np.einsum("nd,nd->n", apart, apart) < points.radius[point] ** 2) & (level[point] == own)
+            np.minimum.at(least, query[holds], points.radius[point[holds]])
     return np.where(np.isfinite(least), least, points.radius.min())
 
 

@@ -37,6 +37,9 @@ STIFF = 0.03
 LEAST = -0.3
 """Least of the affine weights: lower ones would trade a slope for noise."""
 
+TURN = 2.0
+"""How far a turn of the normal by one radian counts, in radii."""
+
 SHEPARD = {"linear": 1, "quadratic": 2, "cubic": 3}
 KERNELS = ("ward", "affine", "nearest", *SHEPARD, *(f"bare {name}" for name in SHEPARD))
 
@@ -95,11 +98,11 @@ class Interpolator:
         """
         if kernel not in KERNELS:
             raise ValueError(f"There is no interpolation '{kernel}'; use one of {', '.join(KERNELS)}.")
+        if not len(places) or not len(self.points):
+            return Weights(np.zeros((len(places), keep), np.int32), np.zeros((len(places), keep), np.float32))
         parts = in_chunks(lambda s: self._weights(places.take(s), kernel, keep, s.start, seed), len(places))
-        width = max((p[0].shape[1] for p in parts), default=keep)
-        if not parts:
-            return Weights(np.zeros((0, width), np.int32), np.zeros((0, width), np.float32))
-        return Weights(*(np.concatenate([_widen(p[k], width) for p in parts]) for k in (0, 1)))
+        width = max(p[0].shape[1] for p in parts)
+        return Weights(*(np.concatenate([widen(p[k], width) for p in parts]) for k in (0, 1)))
 
     def _weights(self, places, kernel, keep, start, seed):
         query, point, measure = self._candidates(places, kernel, start, seed)
@@ -128,7 +131,7 @@ class Interpolator:
             weight = np.maximum(1 - table[:, :width], 0) ** SHEPARD[kernel.split()[-1]]
         else:
             # the first that is left out ends the reach, so a point comes and goes without a step
-            weight = np.maximum(1 - table[:, :width] / table[:, width:], 0)
+            weight = np.maximum(1 - table[:, :width] / np.maximum(table[:, width:], 1e-9), 0)
         total = weight.sum(axis=1, keepdims=True)
         weight = weight / np.where(total > 0, total, 1)
         if kernel == "affine":
@@ -154,7 +157,7 @@ class Interpolator:
         query, point, measure, alike = query[serves], point[serves], measure[serves], alike[serves]
         if kernel in ("ward", "affine"):
             # a turn by a quarter of a circle counts as the whole reach, about
-            measure = measure + np.sqrt(np.maximum(2 - 2 * alike, 0)) * (2 / self.reach)
+            measure = measure + np.sqrt(np.maximum(2 - 2 * alike, 0)) * (TURN / self.reach)
         elif kernel == "nearest":
             dice = hash_uniform((start + query.astype(np.int64)) << 24 ^ point, 41, seed)
             measure = measure + dice / self.reach
@@ -167,7 +170,9 @@ class Interpolator:
         apart = self.points.position.take(point, axis=0) - start
         lift = np.maximum(np.float32(LIFT) * np.linalg.norm(apart, axis=1, keepdims=True), self.offset)
         origin, vector = start + lift * flat, apart + lift * (other - flat)
-        return ~self.bvh.occluded(np.ascontiguousarray(origin), np.ascontiguousarray(vector))
+        seen = ~self.bvh.occluded(np.ascontiguousarray(origin), np.ascontiguousarray(vector))
+        # a ray from a point to itself has no direction
+        return seen | (np.einsum("nd,nd->n", apart, apart) <= self.offset**2)
 
     def _affine(self, weight, names, places):
         """(q, k) weights that also meet what changes evenly over the surface (moving least squares)."""
@@ -190,5 +195,6 @@ class Interpolator:
         return weight * (1 + part[:, None] * slope)
 
 
-def _widen(values, width):
+def widen(values: np.ndarray, width: int) -> np.ndarray:
+    """(n, k) values with columns of 0 added, (n, width)."""
     return np.pad(values, ((0, 0), (0, width - values.shape[1])))

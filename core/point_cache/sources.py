@@ -45,6 +45,8 @@ def flood_sources(
 
 def thin_out(place: np.ndarray, normal: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
     """One of the places (n, 3), with its normal, in each cube of `size` m and each of six facings."""
+    if not len(place):
+        return place, normal
     cell = np.floor((place - place.min(axis=0)) / np.float32(size)).astype(np.int64)
     axis = np.abs(normal).argmax(axis=1)
     facing = 2 * axis + (normal[np.arange(len(normal)), axis] < 0)
@@ -92,7 +94,9 @@ class Sources:
         query, source = self.grid.pairs(position, np.full(len(position), self.size, np.float32), own)
         apart = self.air.take(source, axis=0) - position.take(query, axis=0)
         distance2 = np.einsum("nd,nd->n", apart, apart)
-        keep = (distance2 < (1.5 * self.size) ** 2) & (np.einsum("nd,nd->n", apart, flat.take(query, axis=0)) > 0)
+        # clearly in front: rounding can put a source in the plane of the wall that it stands beside
+        ahead = np.einsum("nd,nd->n", apart, flat.take(query, axis=0)) > self.offset
+        keep = (distance2 < (1.5 * self.size) ** 2) & ahead
         query, source, distance2 = query[keep], source[keep], distance2[keep]
         order, first = nearest_first(query, distance2, len(position))
         count = np.diff(first)

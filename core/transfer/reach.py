@@ -73,7 +73,8 @@ def walk(
         scattered = local[:, :1] * tangent + local[:, 1:2] * bitangent + local[:, 2:] * normal
         passes = clear[piece] & (hash_uniform(index, 3 * bounce + 2, seed + 61) < 0.5)
         directions = np.where(passes[:, None], ahead, scattered).astype(np.float32)
-        origins = place + np.where(passes[:, None], -normal, normal) * np.float32(offset)
+        # back along its path as well: beside an edge, rounding may have put it behind the other face
+        origins = place + np.where(passes[:, None], -normal, normal - 2 * ahead) * np.float32(offset)
 
 
 def _hits(bvh, origins, directions):

@@ -10,6 +10,7 @@ import lightpanes  # noqa: E402
 
 # Budgets of a bake that is done in half a second and still looks like the room.
 SMALL = {"entries": 300, "entry_rays": 128, "exit_rays": 32, "regions": 8, "panes": 8, "lamps": 60}
+SMALL |= {"points": 400, "point_rays": 1024}
 
 
 @pytest.fixture

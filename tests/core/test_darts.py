@@ -13,7 +13,7 @@ from lightpanes.core.scene import Scene
 from lightpanes.core.surface import SurfaceSamples, make_patches
 from lightpanes.core.surface.patches import bisect
 
-from .shapes import box, globe, grid, lamp, quad, room, room_parts, scene
+from .shapes import box, globe, lamp, quad, room, room_parts, scene
 
 
 def surveyed(made: Scene, **how) -> Ground:
@@ -79,14 +79,14 @@ def test_no_two_points_are_nearer_than_the_smaller_radius(shape):
 
 @pytest.mark.parametrize("back", [False, True])
 def test_where_the_radius_varies(back):
-    # it grows by half the distance from a place on the floor, as fast as a guide may; on both sides of all faces
+    # it grows as fast as a guide may, away from a place on the floor; on fronts, or on both sides of all faces
     made = room()
     place = np.array([1, 1, 0])
     fragments = pieces(
-        made, lambda middle: 0.05 + guides.SLOPE / 2 * np.linalg.norm(middle - place, axis=1), back, longest=0.1
+        made, lambda middle: 0.03 + guides.SLOPE * np.linalg.norm(middle - place, axis=1), back, longest=0.1
     )
     darts = throw(made, fragments, everywhere)
-    assert len(darts.radius) > (400 if back else 200)
+    assert len(darts.radius) > 80
     assert darts.radius.max() > 5 * darts.radius.min()
     assert darts.back.any() == back
     assert crowded(darts) == 0
@@ -201,8 +201,9 @@ def even() -> tuple[float, np.ndarray]:
 
 def test_the_floor_is_full():
     radius, place = even()
-    # throwing ends before the last gap is closed, which would take for ever
-    assert 0.75 * PACKING < len(place) * radius**2 < 1.02 * PACKING
+    # random discs of half the radius never cover more than 0.547 of it (Feder 1980)
+    assert len(place) * radius**2 == pytest.approx(PACKING, rel=0.1)
+    assert len(place) * radius**2 < 0.547 * 4 / np.pi * 1.02
     random = np.random.default_rng(2).uniform(size=(4000, 2))
     hole = np.concatenate([np.linalg.norm(p[:, None] - place, axis=2).min(axis=1) for p in np.split(random, 20)])
     assert np.quantile(hole, 0.99) < 1.1 * radius
@@ -236,7 +237,7 @@ def test_no_low_frequencies():
 def test_the_count_is_met_about():
     ground = room_ground()
     for count in (600, 2400):
-        assert 0.8 * count < len(make_points(ground, guides.by_occlusion(ground.ao), count)) < 1.1 * count
+        assert 0.8 * count < len(make_points(ground, guides.by_occlusion(ground.ao), count)) < 1.2 * count
 
 
 # ---- where light gets ----
@@ -284,55 +285,3 @@ def test_a_sealed_dark_room_gets_points_when_lamps_may_go_there():
     assert there["lamps"] == 0
     assert there["seen"] == pytest.approx(0.5, abs=0.05)
     assert there["place"] == pytest.approx(0.5, abs=0.05)
-
-
-# ---- motion ----
-
-
-def test_points_follow_an_object_that_moves():
-    ground = room_ground()
-    points = make_points(ground, guides.uniform(ground.coarse), 1000)
-    angle = 0.4
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-    made = room()
-    own = np.unique(made.triangles[made.triangle_object == 1])
-    place = made.positions.copy()
-    place[own] = place[own] @ turn.T + (0.3, 0.2, 0.5)
-    after = points.follow(scene_like(made, place))
-    block = made.triangle_object[points.samples.triangle] == 1
-    assert 20 < block.sum() < len(points)
-    assert np.allclose(after.position[block], points.position[block] @ turn.T + (0.3, 0.2, 0.5), atol=1e-5)
-    assert np.allclose(after.normal[block], points.normal[block] @ turn.T, atol=1e-5)
-    assert np.array_equal(after.position[~block], points.position[~block])
-    assert np.array_equal(after.samples.triangle, points.samples.triangle)
-    assert crowded(after) == 0
-
-
-def scene_like(made: Scene, positions: np.ndarray) -> Scene:
-    return Scene(positions, made.triangles, triangle_object=made.triangle_object, objects=made.objects,
-                 triangle_material=made.triangle_material, materials=made.materials)  # fmt: skip
-
-
-def test_points_follow_a_mesh_that_bends():
-    # a sheet with points on both sides is bent to half a tube
-    made = scene((*grid((0, 0, 0), (np.pi, 0, 0), (0, 1, 0), 16), 0))
-    points = as_points(throw(made, pieces(made, lambda middle: 0.15, back=True), everywhere))
-    x, y, _ = made.positions.T
-    bent = scene_like(made, np.stack([np.sin(x), y, 1 - np.cos(x)], 1))
-    after = points.follow(bent)
-    assert np.array_equal(after.samples.weights, points.samples.weights)
-    # within the chord's sag of the tube, and on the side on which it was: fronts look at the axis
-    middle = np.stack([0 * after.position[:, 0], after.position[:, 1], 1 + 0 * after.position[:, 0]], 1)
-    inward = middle - after.position
-    assert np.allclose(np.linalg.norm(inward, axis=1), 1, atol=0.006)
-    assert np.array_equal((inward * after.normal).sum(axis=1) < 0, points.back)
-    # barycentrics: each point lies where its triangle's corners put it
-    corners = bent.positions[bent.triangles[after.samples.triangle]].astype(np.float64)
-    assert np.allclose((corners * points.samples.weights[..., None]).sum(axis=1), after.position, atol=1e-6)
-
-
-def test_another_mesh_is_refused():
-    made = scene((*grid((0, 0, 0), (1, 0, 0), (0, 1, 0), 4), 0))
-    points = as_points(throw(made, pieces(made, lambda middle: 0.1), everywhere))
-    with pytest.raises(ValueError, match="fewer triangles"):
-        points.follow(floor())
