@@ -8,7 +8,7 @@ from .scene import Scene, SceneError
 
 EXITS = ("auto", "points", "texels")
 
-POINTS_PAY = 8
+POINTS_PAY = 4
 """Rays of texels over those of points at which points begin to be the cheaper exits."""
 
 
@@ -84,8 +84,8 @@ def plan(scene: Scene, settings: Settings) -> Budget:
         regions=_clamp(192 * finer**0.3, 48, 256),
         panes=16 if finer <= 2 else 24,
         lamps=_clamp(1400 * finer**0.5, 400, 4000),
-        points=_clamp(10_000 * finer, 1000, 20_000),
-        point_rays=_clamp(768 * finer**0.5, 128, 2048),
+        points=_clamp(12_000 * finer, 1000, 20_000),
+        point_rays=_clamp(1024 * finer**0.5, 128, 4096),
     )
     given = {name: value for name in Budget.__dataclass_fields__ if (value := getattr(settings, name)) is not None}
     return replace(budget, **given)

@@ -18,7 +18,7 @@ from .gradients import gather_gradients
 from .points import PointSet
 from .sources import Sources, flood_sources, thin_out
 
-COARSE = (6_000, 24_000)
+COARSE = (6_000, 16_000)
 """Least and most points of the coarse set; between them, as many as are wanted in the end."""
 
 RAYS = 64

@@ -19,6 +19,9 @@ from ..transfer.gather import turns
 POINTS = 256
 """Points gathered together."""
 
+TOGETHER = 16
+"""Directions that are traced together."""
+
 CLAMP = 2.0
 """Ray lengths count as this many times the point's radius at least: nearer things would shout."""
 
@@ -61,13 +64,12 @@ def gather_gradients(
         count = piece.stop - piece.start
         pattern = _pattern(inner, around, piece.start, seed)
         frames = turns(points.normal[piece], piece, seed)
-        origins = np.ascontiguousarray(points.position[piece] + points.flat[piece] * np.float32(gatherer.offset))
+        origins = points.position[piece] + points.flat[piece] * np.float32(gatherer.offset)
         flat = np.ascontiguousarray(points.flat[piece].T) if smooth else None
         ids = np.empty((inner * around, count), np.int32)
         far = np.empty((inner * around, count), np.float32)
-        for row, direction in enumerate(pattern):
-            directions = product3(direction[None], frames.reshape(3, -1)).reshape(count, 3)
-            ids[row], far[row] = gatherer.land(origins, directions, flat)
+        for s in chunks(len(pattern), TOGETHER):
+            ids[s], far[s] = _land(gatherer, origins, flat, pattern[s], frames)
         far = np.maximum(far, np.float32(CLAMP) * radius[piece])
         shares = _shares(far.reshape(inner, around, count), pattern.reshape(inner, around, 3))
         shares = np.ascontiguousarray(shares.transpose(2, 0, 1))
@@ -86,6 +88,15 @@ def gather_gradients(
 
     in_threads(part, chunks(len(points), POINTS))
     return result
+
+
+def _land(gatherer, origins, flat, pattern, frames):
+    """Ids and distances, (k, n) each, of k directions of a pattern (k, 3) from n points."""
+    shape = len(pattern), len(origins)
+    directions = product3(pattern, frames.reshape(3, -1)).reshape(-1, 3)
+    flat = None if flat is None else np.tile(flat, shape[0])
+    ids, far = gatherer.land(np.tile(origins, (shape[0], 1)), directions, flat)
+    return ids.reshape(shape), far.reshape(shape)
 
 
 def _pattern(inner, around, start, seed):

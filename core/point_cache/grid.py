@@ -123,7 +123,7 @@ class LevelGrid:
         levels = range(self.lowest, self.highest + 1)
         self.size = 1 << max(4, int(np.ceil(np.log2(4 * len(levels) * max(count, 1)))))
         local = (position - self.low).T
-        keys = np.empty((len(levels), count), np.int64)
+        keys = np.empty((len(levels), count), np.int32)
         for k, level in enumerate(levels):
             cell = np.floor(local / self._cells(level)).astype(np.int64)
             keys[k] = self._hash(cell, level)

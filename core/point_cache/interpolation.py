@@ -90,7 +90,7 @@ class Interpolator:
         """Weights of the points for each place, one of KERNELS.
 
         ward: the default, of the `keep` nearest, falling to 0 at the next. affine: the same, corrected so that what
-        changes evenly over the surface is met exactly; without gradients the better choice. linear, quadratic, cubic:
+        changes evenly over the surface is all but met; without gradients the better choice. linear, quadratic, cubic:
         Shepard's, of all within reach. nearest: one point, with a random part of its radius added to the distance, so
         that many places together show a smoothed Voronoi diagram. All of these leave out points that face otherwise,
         lie off the plane or are out of sight; bare linear, quadratic and cubic ask for the distance alone, as the
@@ -175,7 +175,8 @@ class Interpolator:
         return seen | (np.einsum("nd,nd->n", apart, apart) <= self.offset**2)
 
     def _affine(self, weight, names, places):
-        """(q, k) weights that also meet what changes evenly over the surface (moving least squares)."""
+        """(q, k) weights that come closer to what changes evenly over the surface (moving least squares, eased where points lie in a
+        line)."""
         apart = self.points.position[names] - places.position[:, None]
         tangent, bitangent = frame(places.normal)
         scale = 1 / self.points.radius[names[:, 0]]
