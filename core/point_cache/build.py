@@ -32,7 +32,7 @@ LOOK_RAYS = 128
 FEWER = 4
 """Darts for each point of the coarse set, which need not be full."""
 
-STRIDE = 2.0
+STRIDE = 3.0
 """Distance of the points that look for more sources, over that of the coarse set."""
 
 GROWTH = 4
