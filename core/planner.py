@@ -84,7 +84,8 @@ def plan(scene: Scene, settings: Settings) -> Budget:
         regions=_clamp(192 * finer**0.3, 48, 256),
         panes=16 if finer <= 2 else 24,
         lamps=_clamp(1400 * finer**0.5, 400, 4000),
-        points=_clamp(12_000 * finer, 1000, 20_000),
+        # the triangles of a detailed mesh face every way, so one point serves no more than a few of them
+        points=_clamp(max(12_000, len(scene.triangles) / 4) * finer, 1000, 60_000),
         point_rays=_clamp(1024 * finer**0.5, 128, 4096),
     )
     given = {name: value for name in Budget.__dataclass_fields__ if (value := getattr(settings, name)) is not None}

@@ -54,10 +54,11 @@ class PointDisplay:
     def __init__(self, place, resolution: int, shown: Weights):
         self._image = np.ones((resolution, resolution, 4), np.float32)
         self._place = place
-        self._point = np.ascontiguousarray(shown.point.T)
-        self._weight = np.ascontiguousarray(shown.weight.T)
-        served = shown.weight.any(axis=1)
-        self._pieces = [s for s in chunks(len(served), PIXELS) if served[s].any()]
+        # only texels that something serves; the others stay black
+        self._texel = np.flatnonzero(shown.weight.any(axis=1))
+        self._image[..., :3] = 0
+        self._point = np.ascontiguousarray(shown.point[self._texel].T)
+        self._weight = np.ascontiguousarray(shown.weight[self._texel].T)
 
     def finish(self, light: np.ndarray) -> None:
         """Nothing: texels between points of two regions blend them anyway."""
@@ -73,12 +74,11 @@ class PointDisplay:
         """(H, W, 4) float32, reused by the next call."""
         # four floats move as one number, which numpy does twice as fast as a row of four
         values = self.values(light).view(np.complex128).reshape(-1)
-        pixels = self._image.reshape(-1, 4)
+        pixels = self._image.reshape(-1, 4).view(np.complex128).reshape(-1)
 
         def part(s):
-            out = pixels[s]
-            row = values.take(self._point[0, s]).view(np.float32).reshape(-1, 4)
-            np.multiply(row, self._weight[0, s, None], out=out)
+            out = values.take(self._point[0, s]).view(np.float32).reshape(-1, 4)
+            out *= self._weight[0, s, None]
             for point, weight in zip(self._point[1:, s], self._weight[1:, s], strict=True):
                 row = values.take(point).view(np.float32).reshape(-1, 4)
                 row *= weight[:, None]
@@ -86,8 +86,9 @@ class PointDisplay:
             # affine weights can dip below nothing beside a shadow
             np.maximum(out, 0, out=out)
             out[:, 3] = 1
+            pixels[self._texel[s]] = out.view(np.complex128).reshape(-1)
 
-        in_threads(part, self._pieces)
+        in_threads(part, chunks(len(self._texel), PIXELS))
         return self._image
 
 
