@@ -58,6 +58,11 @@ class SceneSettings(bpy.types.PropertyGroup):
             ("AUTO", "Automatic", "At points where that is less work than at every texel"),
             ("POINTS", "Points", "At points, dense where light changes, between which texels are interpolated"),
             ("TEXELS", "Texels", "At every texel. Objects that are lit at their vertices need points all the same"),
+            (
+                "ATLAS",
+                "Points, Spread to Texels",
+                "At points, whose panes every texel then gets, as game engines read them",
+            ),
         ),
         default="AUTO",
     )

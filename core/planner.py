@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from .scene import Scene, SceneError
 
-EXITS = ("auto", "points", "texels")
+EXITS = ("auto", "points", "texels", "atlas")
 
 POINTS_PAY = 4
 """Rays of texels over those of points at which points begin to be the cheaper exits."""
@@ -20,7 +20,7 @@ class Settings:
     time_budget: s for the whole bake, 0 for none. resolution: of the atlas, texels a side. seed: of all
     random numbers. entries, entry_rays, exit_rays, regions, panes, lamps, points, point_rays: budgets to use instead of
     the planner's; None leaves them to it. exits: where light is gathered, "points" or "texels"; "auto" takes points
-    where they are cheaper.
+    where they are cheaper; "atlas" gathers at points and spreads their panes to all texels, for engines.
 
     Raises SceneError for values that make no sense.
     """
@@ -102,7 +102,9 @@ def uses_points(settings: Settings, budget: Budget, texels: int, vertices: int) 
     find and place them included."""
     if settings.exits == "auto":
         return vertices > 0 or texels * budget.exit_rays > POINTS_PAY * budget.points * budget.point_rays
-    return vertices > 0 or settings.exits == "points"
+    if settings.exits == "atlas" and vertices:
+        raise SceneError("Objects that are lit at their vertices need points as exits; an atlas has no place for them.")
+    return vertices > 0 or settings.exits != "texels"
 
 
 def limit_rays(budget: Budget, exits: int, rate: float, left: float) -> Budget:

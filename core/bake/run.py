@@ -15,7 +15,7 @@ from .check import compression_error, gather_noise, interpolation_error
 from .clock import Clock, Progress
 from .record import Bake, point_arrays
 from .steps import Prepared, prepare
-from .stored import Stored, bake_points
+from .stored import Stored, bake_points, spread_to_texels
 
 
 def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Progress], None] | None = None) -> Bake:
@@ -33,9 +33,15 @@ def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Pro
         traced = len(made.entries) * made.budget.entry_rays
         rate = traced / max(clock.seconds["Transport"], 1e-3)
         made.budget = limit_rays(made.budget, len(made.exits), rate, 0.9 * (settings.time_budget - clock.spent))
-    if made.starts is None:
+    at_points = made.starts is None and settings.exits != "atlas"
+    if at_points:
         stored = bake_points(made, seed, clock)
         panes, first_hit = _at_points(made, stored)
+    elif made.starts is None:
+        wanted = len(made.exits)
+        made.exits, stored = spread_to_texels(made, seed, clock)
+        made.buried = wanted - len(made.exits)
+        panes, first_hit = _atlas(made, stored.rows, stored.starts, joined(made.exits))
     else:
         stored = None
         panes, first_hit = _at_texels(made, seed, clock)
@@ -57,9 +63,9 @@ def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Pro
         "seconds": round(clock.spent, 3),
         "stages": clock.seconds,
         "rays": clock.rays,
-        "exits": "texels" if stored is None else "points",
-        "texels": len(made.exits) if stored is None else int(panes.own.sum()),
-        "buried_texels": made.buried if stored is None else int(stored.texels.orphan.sum()),
+        "exits": "points" if at_points else "texels" if stored is None else "atlas",
+        "texels": int(panes.own.sum()) if at_points else len(made.exits),
+        "buried_texels": int(stored.texels.orphan.sum()) if at_points else made.buried,
         "triangles": len(scene.triangles),
         "entries": len(made.entries),
         "regions": made.modes.regions,
@@ -69,7 +75,9 @@ def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Pro
     }
     points = None
     if stored is not None:
-        report |= {"gathered_points": stored.gathered, "stored_points": len(stored.points)}
+        report["gathered_points"] = stored.gathered
+    if at_points:
+        report["stored_points"] = len(stored.points)
         report |= {"vertices": len(made.vertices), "objects": [item.name for item in scene.objects]}
         region = np.repeat(np.arange(made.modes.regions), np.diff(stored.starts))
         points = point_arrays(stored.points, region, scene.triangle_object)
@@ -86,7 +94,12 @@ def _at_texels(made: Prepared, seed: int, clock: Clock) -> tuple[Panes, np.ndarr
     clock.start("Exits", len(exits) * budget.exit_rays)
     rows = gather_panes(made.gatherer, exits.samples, starts, made.tables, budget.exit_rays, seed + 41, clock.tick)
     beside = joined(exits)
-    rows = smooth_panes(rows, exits, starts, beside)
+    return _atlas(made, smooth_panes(rows, exits, starts, beside), starts, beside)
+
+
+def _atlas(made: Prepared, rows: np.ndarray, starts: np.ndarray, beside: np.ndarray) -> tuple[Panes, np.ndarray | None]:
+    """Panes of rows (t, c) that are the texels' own, and the first hit of sky and faces, (H, W, 3)."""
+    exits = made.exits
     fill = exits.fill()
     panes = _panes(made, rows, starts, fill=fill, texel=exits.index, beside=beside)
     first_hit = None

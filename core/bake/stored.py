@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..point_cache import PointSet, Weights, gather_gradients, lamp_radius, make_points, serve, survey
+from ..rays import chunks, in_threads
+from ..surface import Texels
 from .clock import Clock
 from .steps import Prepared, own_region
 
@@ -36,12 +38,8 @@ def bake_points(made: Prepared, seed: int, clock: Clock) -> Stored:
     """Find both sets of points, gather, and carry the panes to what is stored."""
     budget = made.budget
     clock.start("Points", 5)
-    # an entry of which only a sliver looks out from under a thing has its places under that thing
-    seen = made.places.take(~made.is_buried(made.places))
-    ground = survey(made.scene, made.patches, made.bvh, made.tracer.offset, seed, seen=seen, count=budget.points)
-    clock.tick(1, 0)
-    radius = lamp_radius(ground, made.gatherer, made.guide, seed + 3)
-    clock.tick(1, 0)
+    ground, radius = _survey(made, seed)
+    clock.tick(2, 0)
     stored = make_points(ground, radius, DENSER * budget.points, seed)
     gathered = stored.sparser(np.sqrt(DENSER))
     clock.tick(1, 0)
@@ -66,6 +64,42 @@ def bake_points(made: Prepared, seed: int, clock: Clock) -> Stored:
     return Stored(stored, starts, rows, texels, vertices, len(gathered))
 
 
+def spread_to_texels(made: Prepared, seed: int, clock: Clock) -> tuple[Texels, Stored]:
+    """A pane atlas, as engines read it, from the same gather: every texel gets a row of its own.
+
+    Returns the valid texels, sorted by region, and their rows; each texel is served by its own row alone.
+    """
+    budget = made.budget
+    clock.start("Points", 3)
+    ground, radius = _survey(made, seed)
+    clock.tick(1, 0)
+    gathered = make_points(ground, radius, budget.points, seed)
+    clock.tick(1, 0)
+    gathered, carried = serve(gathered, made.exits.samples, ground, "ward", seed, made.is_buried)
+    kept = np.flatnonzero(~carried.orphan)
+    texels = made.exits.keep(kept)
+    region = own_region(made, texels.samples)
+    order = np.lexsort((texels.index, region))
+    texels, region, kept = texels.keep(order), region[order], kept[order]
+    carried = Weights(carried.point[kept], carried.weight[kept])
+
+    clock.start("Exits", len(gathered) * budget.point_rays)
+    rows = _gather(made, gathered, carried, texels.samples, region, seed + 41, clock.tick)
+    starts = np.concatenate([[0], np.cumsum(np.bincount(region, minlength=made.modes.regions))])
+    itself = Weights(np.arange(len(texels), dtype=np.int32)[:, None], np.ones((len(texels), 1), np.float32))
+    nothing = Weights(itself.point[:0], itself.weight[:0])
+    return texels, Stored(gathered, starts, rows, itself, nothing, len(gathered))
+
+
+def _survey(made, seed):
+    """The ground of all point sets, and the radius that lamps ask for on it."""
+    # an entry of which only a sliver looks out from under a thing has its places under that thing
+    seen = made.places.take(~made.is_buried(made.places))
+    count = made.budget.points
+    ground = survey(made.scene, made.patches, made.bvh, made.tracer.offset, seed, seen=seen, count=count)
+    return ground, lamp_radius(ground, made.gatherer, made.guide, seed + 3)
+
+
 def _gather(made, points, carried, places, region, seed, tick):
     """(n, c) rows of `places`, each in its own region's panes, from the points that serve it."""
     regions = made.modes.regions
@@ -76,9 +110,13 @@ def _gather(made, points, carried, places, region, seed, tick):
     point, table = np.divmod(names, regions)
     rays = made.budget.point_rays
     found = gather_gradients(made.gatherer, points.samples, points.radius, made.tables, rays, seed, tick, point, table)
-    steps = carried.steps(points, places)
     pair = pair.reshape(used.shape)
     rows = np.zeros((len(places), made.tables.shape[2]), np.float32)
-    for k in range(pair.shape[1]):
-        rows += np.einsum("qa,qac->qc", steps[:, k], found[pair[:, k]])
+
+    def carry(s):
+        steps = Weights(carried.point[s], carried.weight[s]).steps(points, places.take(s))
+        for k in range(pair.shape[1]):
+            rows[s] += np.einsum("qa,qac->qc", steps[:, k], found[pair[s, k]])
+
+    in_threads(carry, chunks(len(places)))
     return rows

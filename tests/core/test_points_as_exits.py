@@ -58,6 +58,23 @@ def test_rows_are_their_regions_panes():
     assert np.allclose(runtime.texels([LIGHT]), expected + panes.steady, rtol=1e-3, atol=1e-5)
 
 
+def test_points_can_be_spread_to_an_atlas():
+    made, texels, _ = both()
+    atlas = bake(made, quick(**(POINTS | {"exits": "atlas"})))
+    assert atlas.points == {} and atlas.report["exits"] == "atlas"
+    assert {n: a.shape for n, a in atlas.images.items() if n != "Lightpanes Weights"} == {
+        n: a.shape for n, a in texels.images.items() if n != "Lightpanes Weights"
+    }
+    expected, found = (relighter(made, b).relight([LIGHT])[..., :3].astype(float).copy() for b in (texels, atlas))
+    own = texels.own & atlas.own
+    assert own.sum() > 0.98 * texels.own.sum()
+    off = found[own] - expected[own]
+    assert abs(off.mean()) < 0.01 * expected[own].mean()
+    assert np.sqrt((off**2).mean()) < 0.06 * expected[own].mean()
+    with pytest.raises(SceneError, match="vertices"):
+        bake(vertex_room(), quick(exits="atlas"))
+
+
 def test_a_bake_of_points_survives_its_file(tmp_path):
     made, _, points = both()
     points.save(tmp_path / "points.npz")
