@@ -79,8 +79,8 @@ def make_atlas(
     Makes or updates the UV layer `Lightpanes` of their meshes and the custom properties
     lightpanes_scale, _offset and _baked; every other object of the scene loses those. Objects that
     share a mesh share its layer and have a rectangle each; the others' charts are packed one by one.
-    Those in at_vertices are marked as lit there and get neither layer nor place. Texels per metre are the same everywhere but for the objects' weights, and charts stay two texels
-    apart. Raises SceneError, naming the object and what to do, before anything has changed.
+    Those in at_vertices are marked as lit there and get neither layer nor place. Texels per metre are the same
+    everywhere but for the objects' weights, and charts stay two texels apart. Raises SceneError, naming the object and what to do, before anything has changed.
     """
     warnings: list[str] = []
     objects = [obj for obj in receivers(context, objects, warnings) if obj not in at_vertices]

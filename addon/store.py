@@ -63,8 +63,8 @@ def store_bake(scene: bpy.types.Scene, bake: Bake, albedo: np.ndarray | None = N
             images[DIRECT] = _write_pixels(DIRECT, _opaque(bake.direct), made)
         if albedo is not None:
             images[ALBEDO] = _write_pixels(ALBEDO, _opaque(albedo), made)
-        points = _write_points(bake, made)
-        entries = _write_entries(bake, images, points, made)
+        points, specs = _write_points(bake, made)
+        entries = _write_entries(bake, images, points, specs, made)
         collection = _collection(scene)
     except BaseException:
         _remove(made)
@@ -228,14 +228,14 @@ def _read_array(image: bpy.types.Image, role: str) -> np.ndarray:
     return flat[:size].reshape(shape)
 
 
-def _write_points(bake: Bake, made: list) -> bpy.types.Object | None:
-    """A mesh of the stored points, with `irradiance` for what they show now."""
+def _write_points(bake: Bake, made: list) -> tuple[bpy.types.Object | None, dict]:
+    """A mesh of the stored points, with `irradiance` for what they show now, and how to read it back."""
     if not bake.points:
-        return None
-    mesh, _ = _write_vertices(POINTS, bake.points, made)
+        return None, {}
+    mesh, specs = _write_vertices(POINTS, bake.points, made)
     _fill(mesh, "irradiance", "FLOAT_COLOR", np.zeros((len(mesh.vertices), 4), np.float32))
     mesh.update()
-    return _hidden_object(POINTS, mesh, made)
+    return _hidden_object(POINTS, mesh, made), specs
 
 
 def _read_points(mesh, specs: dict) -> dict[str, np.ndarray]:
@@ -265,7 +265,7 @@ def _hidden_object(name: str, mesh, made: list) -> bpy.types.Object:
     return item
 
 
-def _write_entries(bake: Bake, images: dict, points: bpy.types.Object | None, made: list) -> bpy.types.Object:
+def _write_entries(bake: Bake, images: dict, points, points_specs: dict, made: list) -> bpy.types.Object:
     mesh, specs = _write_vertices(ENTRIES, bake.entries, made)
     layout = {
         "format": FORMAT,
@@ -273,7 +273,7 @@ def _write_entries(bake: Bake, images: dict, points: bpy.types.Object | None, ma
         "images": list(bake.images),
         "direct": bake.direct is not None,
         "entries": specs,
-        "points": {} if points is None else {name: _spec(array) for name, array in bake.points.items()},
+        "points": points_specs,
     }
     mesh[LAYOUT] = json.dumps(layout)
     mesh[META] = json.dumps(bake.meta)
@@ -319,10 +319,6 @@ def _write_attribute(mesh: bpy.types.Mesh, name: str, array: np.ndarray) -> list
     else:
         for k, column in enumerate(columns.reshape(count, -1).T):
             _fill(mesh, f"{name}.{k}", kind or "FLOAT", column)
-    return _spec(array)
-
-
-def _spec(array: np.ndarray) -> list:
     return [array.dtype.str, list(array.shape)]
 
 

@@ -107,10 +107,10 @@ def uses_points(settings: Settings, budget: Budget, texels: int, vertices: int) 
     return vertices > 0 or settings.exits != "texels"
 
 
-def limit_rays(budget: Budget, exits: int, rate: float, left: float) -> Budget:
-    """Budget whose exit gather fits into `left` seconds at `rate` rays a second."""
-    rays = _clamp(left * rate / max(exits, 1), 16, budget.exit_rays)
-    return replace(budget, exit_rays=rays)
+def limit_rays(budget: Budget, rays: str, places: int, rate: float, left: float) -> Budget:
+    """Budget whose gather fits into `left` seconds at `rate` rays a second. rays: the field that is cut, "exit_rays" or
+    "point_rays"; places: from how many they start."""
+    return replace(budget, **{rays: _clamp(left * rate / max(places, 1), 16, getattr(budget, rays))})
 
 
 def _clamp(value: float, low: int, high: int) -> int:

@@ -6,8 +6,8 @@ import numpy as np
 
 from ..panes.exits import gather_panes
 from ..panes.modes import Modes
+from ..panes.regions import region_of, starts_of
 from ..panes.weights import PaneWeights
-from ..point_cache import Weights
 from ..surface import SurfaceSamples
 from ..transfer import Entries, Transport
 from .steps import Prepared, own_region
@@ -80,8 +80,7 @@ def interpolation_error(made: Prepared, stored: Stored, seed: int) -> float:
     region = own_region(made, some)
     order = np.argsort(region, kind="stable")
     some, region, chosen, block = some.take(order), region[order], chosen[order], block[order]
-    known = np.repeat(np.arange(len(stored.starts) - 1), np.diff(stored.starts))
-    found = Weights(shown.point[chosen], shown.weight[chosen]).apply(pane_values(made, stored.rows, known))
+    found = shown.take(chosen).apply(pane_values(made, stored.rows, region_of(stored.starts)))
     fresh = [fresh_values(made, some, region, PROBE_RAYS, seed + salt) for salt in (71, 72)]
     found, first, second = (_block_means(values, block) for values in (found, *fresh))
     mean = 0.5 * (first + second).mean(axis=0)
@@ -99,7 +98,7 @@ def _block_means(values, block):
 
 def fresh_values(made: Prepared, some: SurfaceSamples, region: np.ndarray, rays: int, seed: int) -> np.ndarray:
     """(n, s) irradiance of samples, sorted by region, from a gather of their own; see `pane_values`."""
-    starts = np.concatenate([[0], np.cumsum(np.bincount(region, minlength=made.modes.regions))])
+    starts = starts_of(region, made.modes.regions)
     rows = gather_panes(made.gatherer, some, starts, made.tables, rays, seed)
     return pane_values(made, rows, region)
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..panes import Panes
 from ..panes.entry_light import EntrySurface
+from ..panes.regions import region_of, starts_of
 from ..panes.weights import PaneWeights
 from ..point_cache import PointSet
 from ..point_cache.codes import decode, encode, weight_bits
@@ -143,7 +144,7 @@ class Bake:
         row[texel] = np.arange(len(texel), dtype=np.int32)
         return {
             "rows": np.ascontiguousarray(atlas[:, texel].T),
-            "starts": _starts(region[texel], int(self.meta["regions"])),
+            "starts": starts_of(region[texel], int(self.meta["regions"])),
             "steady": self.images["Lightpanes Static"].reshape(-1, 3)[texel],
             "fill": row[np.rint(table[0]).astype(np.int32) - 1],
             "texel": texel,
@@ -157,7 +158,7 @@ class Bake:
         vertices = self.images.get("Lightpanes Vertices", np.zeros((0, table.shape[1]), np.float32))
         return {
             "rows": self.images["Lightpanes Panes"],
-            "starts": _starts(self.points["region"], int(self.meta["regions"])),
+            "starts": starts_of(self.points["region"], int(self.meta["regions"])),
             "steady": self.images["Lightpanes Static"],
             "shown": decode(table, bits),
             "own": table[:, 0] > 0,
@@ -221,17 +222,11 @@ def _texel_images(panes):
     atlas[:, texel] = panes.rows.T
     table = np.zeros((3, size * size), np.float32)
     table[0] = np.where(panes.fill >= 0, np.append(texel, -1)[panes.fill] + 1, 0)
-    lengths = np.diff(panes.starts)
-    table[1, texel] = np.repeat(np.arange(len(lengths)), lengths) + 1
+    table[1, texel] = region_of(panes.starts) + 1
     table[2, texel] = np.packbits(panes.beside, axis=1)[:, 0]
     steady = np.zeros((size * size, 3), np.float32)
     steady[texel] = panes.steady
     return atlas.reshape(k, size, size), table.reshape(3, size, size), steady.reshape(size, size, 3)
-
-
-def _starts(region, regions):
-    """(regions + 1,): where each region's rows begin among those sorted by region."""
-    return np.concatenate([[0], np.cumsum(np.bincount(region, minlength=regions))])
 
 
 def point_arrays(points: PointSet, region: np.ndarray, owner: np.ndarray) -> dict[str, np.ndarray]:

@@ -9,12 +9,14 @@ import numpy as np
 
 from ..panes import Panes
 from ..panes.exits import gather_panes, joined, smooth_panes
-from ..planner import Settings, limit_rays
+from ..panes.regions import region_of
+from ..planner import Settings
+from ..point_cache import Weights
 from ..scene import Scene
 from .check import compression_error, gather_noise, interpolation_error
 from .clock import Clock, Progress
 from .record import Bake, point_arrays
-from .steps import Prepared, prepare
+from .steps import Prepared, in_time, prepare
 from .stored import Stored, bake_points, spread_to_texels
 
 
@@ -29,22 +31,18 @@ def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Pro
     clock = Clock(progress)
     made = prepare(scene, settings, clock)
     seed = settings.seed
-    if settings.time_budget:
-        traced = len(made.entries) * made.budget.entry_rays
-        rate = traced / max(clock.seconds["Transport"], 1e-3)
-        made.budget = limit_rays(made.budget, len(made.exits), rate, 0.9 * (settings.time_budget - clock.spent))
     at_points = made.starts is None and settings.exits != "atlas"
     if at_points:
-        stored = bake_points(made, seed, clock)
+        stored = bake_points(made, settings, clock)
         panes, first_hit = _at_points(made, stored)
     elif made.starts is None:
         wanted = len(made.exits)
-        made.exits, stored = spread_to_texels(made, seed, clock)
+        made.exits, stored = spread_to_texels(made, settings, clock)
         made.buried = wanted - len(made.exits)
         panes, first_hit = _atlas(made, stored.rows, stored.starts, joined(made.exits))
     else:
         stored = None
-        panes, first_hit = _at_texels(made, seed, clock)
+        panes, first_hit = _at_texels(made, settings, clock)
 
     clock.start("Check")
     parts = {}
@@ -79,8 +77,7 @@ def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Pro
     if at_points:
         report["stored_points"] = len(stored.points)
         report |= {"vertices": len(made.vertices), "objects": [item.name for item in scene.objects]}
-        region = np.repeat(np.arange(made.modes.regions), np.diff(stored.starts))
-        points = point_arrays(stored.points, region, scene.triangle_object)
+        points = point_arrays(stored.points, region_of(stored.starts), scene.triangle_object)
     result = Bake.from_panes(panes, first_hit, {"report": report, "seed": seed}, points)
     report["bytes"] = result.bytes
     if progress is not None:
@@ -88,11 +85,13 @@ def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Pro
     return result
 
 
-def _at_texels(made: Prepared, seed: int, clock: Clock) -> tuple[Panes, np.ndarray | None]:
+def _at_texels(made: Prepared, settings: Settings, clock: Clock) -> tuple[Panes, np.ndarray | None]:
     """Panes whose exits are the atlas' texels, and the first hit of sky and faces, (H, W, 3)."""
-    exits, starts, budget = made.exits, made.starts, made.budget
-    clock.start("Exits", len(exits) * budget.exit_rays)
-    rows = gather_panes(made.gatherer, exits.samples, starts, made.tables, budget.exit_rays, seed + 41, clock.tick)
+    exits, starts = made.exits, made.starts
+    in_time(made, settings, clock, "exit_rays", len(exits))
+    rays = made.budget.exit_rays
+    clock.start("Exits", len(exits) * rays)
+    rows = gather_panes(made.gatherer, exits.samples, starts, made.tables, rays, settings.seed + 41, clock.tick)
     beside = joined(exits)
     return _atlas(made, smooth_panes(rows, exits, starts, beside), starts, beside)
 
@@ -116,10 +115,9 @@ def _at_points(made: Prepared, stored: Stored) -> tuple[Panes, np.ndarray | None
     fill = exits.fill()
     own = np.zeros(len(fill), bool)
     own[exits.index] = True
-    # the row after the last serves nothing
-    point = np.concatenate([stored.texels.point[kept], np.zeros((1, stored.texels.point.shape[1]), np.int32)])[fill]
-    weight = np.concatenate([stored.texels.weight[kept], np.zeros((1, point.shape[1]), np.float32)])[fill]
-    shown = type(stored.texels)(point, weight)
+    served = stored.texels.take(kept)
+    # −1 takes the row after the last, which nothing serves
+    shown = Weights(*(np.pad(v, ((0, 1), (0, 0)))[fill] for v in (served.point, served.weight)))
     panes = _panes(made, stored.rows, stored.starts, shown=shown, own=own, vertices=stored.vertices)
     first_hit = None
     if made.has_first_hit:

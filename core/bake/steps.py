@@ -9,10 +9,10 @@ import numpy as np
 
 from ..panes.entry_light import EntrySurface
 from ..panes.modes import Modes, learn_modes, training_fields
-from ..panes.regions import features, make_regions, nearest, rooms, signature, split_regions
+from ..panes.regions import features, make_regions, nearest, rooms, signature, split_regions, starts_of
 from ..panes.training import illuminate, training_lamps
 from ..panes.weights import PaneWeights, make_weights
-from ..planner import Budget, Settings, needs_panes, plan, uses_points
+from ..planner import Budget, Settings, limit_rays, needs_panes, plan, uses_points
 from ..rays import Bvh, Tracer
 from ..scene import Scene
 from ..surface import Patches, SurfaceSamples, Texels, Vertices, make_patches, make_texels, make_vertices
@@ -39,7 +39,8 @@ class Prepared:
     begin; where points are, all texels, and no starts. vertices: places of objects that are lit at their vertices.
     is_buried: tells of places whether they lie inside solid things; buried: how many texels were found to. tables: (regions, ids, c) what a ray that lands on an id brings: the
     region's modes, then, where the scene has light that no live lamp changes, its bounces (3) and, where sky or faces
-    shine, their first hit (3). guide: (1, ids, c) radiosity of a few lamps. test_direct: (n, TEST_LAMPS) irradiance of held-out lamps, None where no lamp is live.
+    shine, their first hit (3). guide: (1, ids, c) radiosity of a few lamps, None where texels are the
+    exits. test_direct: (n, TEST_LAMPS) irradiance of held-out lamps, None where no lamp is live.
     """
 
     scene: Scene
@@ -58,7 +59,7 @@ class Prepared:
     starts: np.ndarray | None
     vertices: Vertices
     tables: np.ndarray
-    guide: np.ndarray
+    guide: np.ndarray | None
     is_buried: Callable[[SurfaceSamples], np.ndarray]
     test_direct: np.ndarray | None
     buried: int
@@ -107,7 +108,6 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
 
     places = entries.places
     surface = EntrySurface.of(entries, patches, places, tracer.offset)
-    points = features(entries.position, entries.normal, scene.extent)
     if needs_panes(scene):
         lamps = training_lamps(scene, places, gatherer, budget.lamps, seed + 6)
         clock.start("Lamps", len(lamps))
@@ -120,6 +120,7 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
         clock.start("Panes", 4)
         radiosity, field = training_fields(entries, transport, direct)
         clock.tick(1, 0)
+        points = features(entries.position, entries.normal, scene.extent)
         # rooms lie farther apart than anything within one
         room = rooms(transport.between)
         far = 4 * room[:, None].astype(np.float32)
@@ -130,9 +131,8 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
         clock.tick(1, 0)
         weights = make_weights(entries, transport, modes, room, direct[:, ::8])
         clock.tick(1, 0)
-        guide = transport.solve(entries.albedo.mean(axis=1, keepdims=True), radiosity[:, :GUIDES], 1e-2)
     else:
-        modes, weights, test_direct, guide = *no_panes(entries), None, None
+        modes, weights, test_direct = *no_panes(entries), None
     static = static_light(scene, surface, tracer, seed)
     steady, shine = steady_light(scene.sky, bins, entries, transport, static)
     tables = _tables(modes, steady, shine, gatherer.size)
@@ -142,19 +142,30 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
         tables = tables[:, np.append(owner, np.arange(len(entries), tables.shape[1]))]
         bounces = slice(modes.panes, modes.panes + 3)
         tables[0, : len(owner), bounces] += piece_excess(scene, patches, entries, owner, static, tracer, seed)
-        guide_table = tables[:, :, bounces]
-    else:
-        guide_table = np.zeros((1, gatherer.size, guide.shape[1]), np.float32)
-        guide_table[0, : len(entries)] = guide
+    guide = None
+    if at_points and test_direct is None:
+        guide = tables[:, :, bounces]
+    elif at_points:
+        some = transport.solve(entries.albedo.mean(axis=1, keepdims=True), radiosity[:, :GUIDES], 1e-2)
+        guide = np.zeros((1, gatherer.size, some.shape[1]), np.float32)
+        guide[0, : len(entries)] = some
     made = Prepared(
         scene, budget, patches, bvh, tracer, entries, gatherer, transport, places, surface, modes, weights,
-        texels, None, vertices, tables, guide_table, is_buried, test_direct, int(buried.sum()), warnings,
+        texels, None, vertices, tables, guide, is_buried, test_direct, int(buried.sum()), warnings,
     )  # fmt: skip
     if not at_points:
         own = own_region(made, texels.samples)
         made.exits = texels.keep(np.lexsort((texels.index, own)))
-        made.starts = np.concatenate([[0], np.cumsum(np.bincount(own, minlength=modes.regions))])
+        made.starts = starts_of(own, modes.regions)
     return made
+
+
+def in_time(made: Prepared, settings: Settings, clock: Clock, rays: str, places: int) -> None:
+    """Cut the budget's `rays` (a field of Budget) from so many places to what a time budget leaves for them."""
+    if settings.time_budget:
+        traced = len(made.entries) * made.budget.entry_rays
+        rate = traced / max(clock.seconds["Transport"], 1e-3)
+        made.budget = limit_rays(made.budget, rays, places, rate, 0.9 * (settings.time_budget - clock.spent))
 
 
 def _nothing(samples: SurfaceSamples) -> np.ndarray:
@@ -197,7 +208,6 @@ def _tables(modes, steady, shine, ids):
 def own_region(made: Prepared, samples: SurfaceSamples) -> np.ndarray:
     """(t,) region of each place: that of the entry it lies on, else of the nearest."""
     bvh, entries, patches, region, extent = made.bvh, made.entries, made.patches, made.modes.region, made.scene.extent
-    points = features(entries.position, entries.normal, extent)
     lift = np.float32(4 * made.tracer.offset)
     triangle = np.concatenate(
         [
@@ -215,6 +225,7 @@ def own_region(made: Prepared, samples: SurfaceSamples) -> np.ndarray:
     own = np.append(region, 0)[entry]
     lost = np.flatnonzero((triangle < 0) | (entry == len(entries)) | (patches.parent[triangle] != samples.triangle))
     if len(lost):
+        points = features(entries.position, entries.normal, extent)
         near = nearest(features(samples.position[lost], samples.flat[lost], extent), points)
         own[lost] = region[near]
     return own

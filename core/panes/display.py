@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..point_cache import Weights
 from ..rays import chunks, in_threads
 from .exits import STEPS
+from .regions import region_of
 
 BLOCK = 64
 """Rows of one region that are blended by one matrix product: their red lies together, then green, then blue."""
@@ -18,14 +18,14 @@ PIXELS = 32_768
 class TexelDisplay:
     """Rows are texels. Those at regions' borders are averaged with their neighbours, for each side errs in its own way.
 
-    place: (t,) where each row's red lies in the blended light; see `Panes` for the rest.
+    panes: `relighter.Panes` whose exits are texels. place: (t,) where each row's red lies in the blended light; black:
+    where black lies there.
     """
 
-    def __init__(self, place, starts, resolution: int, size: int, fill, texel, beside):
-        self._image = np.ones((resolution, resolution, 4), np.float32)
-        # the last place is black
-        self._show = [np.append(place + c * BLOCK, size)[fill] for c in range(3)]
-        self._seam = _seams(place, starts, resolution, texel, beside)
+    def __init__(self, panes, place: np.ndarray, black: int):
+        self._image = np.ones((panes.resolution, panes.resolution, 4), np.float32)
+        self._show = [np.append(place + c * BLOCK, black)[panes.fill] for c in range(3)]
+        self._seam = _seams(panes, place)
 
     def finish(self, light: np.ndarray) -> None:
         """Blend the regions' borders, in place."""
@@ -48,32 +48,27 @@ class TexelDisplay:
 class PointDisplay:
     """Rows are points; a texel is a sum over the few that serve it.
 
-    place: (n,) where each row's red lies in the blended light. shown: weights of the rows for each texel of the atlas.
+    panes: `relighter.Panes` whose exits are points. place: (n,) where each row's red lies in the blended light.
     """
 
-    def __init__(self, place, resolution: int, shown: Weights):
-        self._image = np.ones((resolution, resolution, 4), np.float32)
+    def __init__(self, panes, place: np.ndarray):
+        self._image = np.zeros((panes.resolution, panes.resolution, 4), np.float32)
+        self._image[..., 3] = 1
         self._place = place
         # only texels that something serves; the others stay black
-        self._texel = np.flatnonzero(shown.weight.any(axis=1))
-        self._image[..., :3] = 0
-        self._point = np.ascontiguousarray(shown.point[self._texel].T)
-        self._weight = np.ascontiguousarray(shown.weight[self._texel].T)
+        self._texel = np.flatnonzero(~panes.shown.orphan)
+        served = panes.shown.take(self._texel)
+        self._point, self._weight = np.ascontiguousarray(served.point.T), np.ascontiguousarray(served.weight.T)
 
     def finish(self, light: np.ndarray) -> None:
         """Nothing: texels between points of two regions blend them anyway."""
 
-    def values(self, light: np.ndarray) -> np.ndarray:
-        """(n, 4) float32 red, green, blue and 1 of each row."""
-        values = np.ones((len(self._place), 4), np.float32)
-        for c in range(3):
-            values[:, c] = light.take(self._place + c * BLOCK)
-        return values
-
     def image(self, light: np.ndarray) -> np.ndarray:
         """(H, W, 4) float32, reused by the next call."""
         # four floats move as one number, which numpy does twice as fast as a row of four
-        values = self.values(light).view(np.complex128).reshape(-1)
+        values = np.ones((len(self._place), 4), np.float32)
+        values[:, :3] = row_values(light, self._place)
+        values = values.view(np.complex128).reshape(-1)
         pixels = self._image.reshape(-1, 4).view(np.complex128).reshape(-1)
 
         def part(s):
@@ -92,16 +87,22 @@ class PointDisplay:
         return self._image
 
 
-def _seams(place, starts, size, texel, beside):
+def row_values(light: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """(n, 3) red, green and blue of rows in the blended light; place: (n,) where each row's red lies."""
+    return np.stack([light.take(place + c * BLOCK) for c in range(3)], 1)
+
+
+def _seams(panes, place):
     """Texels beside one of another region: their places in the blended light for red, green and blue (3, s), those of
     their straight neighbours (4, 3, s), and the weights of the texel and its neighbours (5, s)."""
+    size, texel = panes.resolution, panes.texel
     row = np.full(size * size, -1, np.int32)
     row[texel] = np.arange(len(texel), dtype=np.int32)
-    region = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    region = region_of(panes.starts)
     straight = [k for k, (dy, dx) in enumerate(STEPS) if not dy or not dx]
     steps = np.array([dy * size + dx for dy, dx in (STEPS[k] for k in straight)])
     around = np.clip(texel + steps[:, None], 0, size * size - 1)
-    near = np.where(beside[:, straight].T, row[around], -1)
+    near = np.where(panes.beside[:, straight].T, row[around], -1)
     at = np.flatnonzero(((near >= 0) & (region[near] != region)).any(axis=0))
     near = near[:, at]
     share = np.concatenate([np.ones((1, len(at)), np.float32), (near >= 0).astype(np.float32)])

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..surface import SurfaceSamples, Texels
 from ..transfer import Gatherer
+from .regions import region_of
 
 
 def gather_panes(
@@ -73,7 +74,7 @@ def smooth_panes(rows: np.ndarray, exits: Texels, starts: np.ndarray, beside: np
     the gather's grain away (a seventh of the variance stays) for a texel's blur.
     """
     size, place, at = _grid(exits)
-    region = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    region = region_of(starts)
     total, weight = 4 * rows, np.full((len(rows), 1), 4, np.float32)
     for k, (dy, dx) in enumerate(STEPS):
         near = place[at + dy * (size + 2) + dx]

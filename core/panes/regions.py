@@ -56,6 +56,16 @@ def rooms(between: np.ndarray) -> np.ndarray:
     return room
 
 
+def starts_of(region: np.ndarray, regions: int) -> np.ndarray:
+    """(regions + 1,) int: where each region's rows begin among those sorted by region; region: (n,)."""
+    return np.concatenate([[0], np.cumsum(np.bincount(region, minlength=regions))])
+
+
+def region_of(starts: np.ndarray) -> np.ndarray:
+    """(n,) int: the region of each of the rows that `starts` (regions + 1,) cuts into regions."""
+    return np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+
+
 def make_regions(points: np.ndarray, area: np.ndarray, count: int, seed: int = 0) -> np.ndarray:
     """(n,) int32 region of each point, by k-means weighted by area; at most `count`, none empty.
 

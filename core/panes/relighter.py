@@ -10,7 +10,7 @@ import numpy as np
 from ..point_cache import Weights
 from ..rays import Tracer
 from ..scene import Light
-from .display import BLOCK, PointDisplay, TexelDisplay
+from .display import BLOCK, PointDisplay, TexelDisplay, row_values
 from .entry_light import EntryLight, EntrySurface
 from .weights import PaneWeights
 
@@ -61,10 +61,9 @@ class Relighter:
         size = 3 * self._blocks.shape[0] * BLOCK
         self._place = flat
         if panes.shown is not None:
-            self._display = PointDisplay(flat, panes.resolution, panes.shown)
+            self._display = PointDisplay(panes, flat)
         else:
-            where = panes.fill, panes.texel, panes.beside
-            self._display = TexelDisplay(flat, panes.starts, panes.resolution, size, *where)
+            self._display = TexelDisplay(panes, flat, size)
         self._light = np.zeros(size + 1, np.float32)
         self._steady = np.zeros(size + 1, np.float32)
         for c in range(3):
@@ -115,7 +114,7 @@ class Relighter:
 
     def rows(self, light: np.ndarray) -> np.ndarray:
         """(t, 3) float32 irradiance of the panes' rows, W/m², as they come from the gather: noise and all."""
-        return np.stack([light[self._place + c * BLOCK] for c in range(3)], 1)
+        return row_values(light, self._place)
 
     def vertices(self, light: np.ndarray) -> np.ndarray:
         """(v, 3) float32 irradiance at vertices, W/m²; none where no object is lit there."""

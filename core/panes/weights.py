@@ -15,6 +15,7 @@ import numpy as np
 
 from ..transfer import Entries, Transport
 from .modes import Modes
+from .regions import starts_of
 
 RANK = 192
 """Leading fields kept of all bounces after the first, shared by rooms as their entries are."""
@@ -80,7 +81,7 @@ def make_weights(
     size = regions * k
     root = np.sqrt(entries.area / entries.area.mean()).astype(np.float32)
     order = np.argsort(modes.region, kind="stable")
-    ends = np.concatenate([[0], np.cumsum(np.bincount(modes.region, minlength=regions))])
+    ends = starts_of(modes.region, regions)
     first = np.empty((size, count), np.float32)
     for r in range(regions):
         rows = order[ends[r] : ends[r + 1]]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..rays import Bvh
 from ..scene import Scene
-from ..surface import Patches, SurfaceSamples
+from ..surface import Patches, SurfaceSamples, unit
 from ..surface.patches import bisect
 from ..transfer import Gatherer
 from . import guides
@@ -42,12 +42,13 @@ FINEST, LARGEST = 1 / 4, 3.0
 """Least and most radius, over that of as many even points."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class Ground:
     """What all point sets of a scene share.
 
-    coarse: an even set where light gets, its radius (m), its openness and harmonic mean distance (m), and the
-    fragments of the surface with NaN radius where none of it lies.
+    coarse: an even set where light gets; size: its radius, m; ao, harmonic: openness and harmonic mean distance (m) of
+    its points. reach: m, within which things occlude. fragments: of the whole surface. sources: the coarse points, from
+    which darts are thrown.
     """
 
     scene: Scene
@@ -57,13 +58,9 @@ class Ground:
     size: float
     ao: np.ndarray
     harmonic: np.ndarray
+    reach: float
     fragments: Fragments
     sources: Sources
-
-    @property
-    def reach(self) -> float:
-        """m, within which things occlude."""
-        return guides.REACH * self.scene.extent
 
 
 def survey(
@@ -96,15 +93,15 @@ def survey(
     sources = Sources(place, normal, bvh, 1.5 * size, offset)
     coarse = throw(scene, fragments, lambda s: sources.see(s.position, s.flat), seed, darts=FEWER).samples
     sources = Sources(coarse.position, coarse.flat, bvh, 1.5 * size, offset)
-    ground = Ground(scene, bvh, offset, coarse, size, np.ones(0), np.ones(0), fragments, sources)
-    ground.ao, ground.harmonic = guides.surroundings(coarse, bvh, ground.reach, RAYS, offset, seed + 1)
-    return ground
+    reach = guides.REACH * scene.extent
+    ao, harmonic = guides.surroundings(coarse, bvh, reach, RAYS, offset, seed + 1)
+    return Ground(scene, bvh, offset, coarse, size, ao, harmonic, reach, fragments, sources)
 
 
 def _grow(scene, fragments, place, normal, bvh, size, offset, seed):
     """More sources, where few of the flood's particles came: what a source sees becomes one, until there are no more."""
     wide = STRIDE * size
-    loose = Fragments(fragments.parent, fragments.weights, fragments.area, fragments.radius * np.float32(STRIDE))
+    loose = replace(fragments, radius=fragments.radius * np.float32(STRIDE))
     before = 0
     for _ in range(GROWTH):
         sources = Sources(place, normal, bvh, wide, offset)
@@ -150,9 +147,7 @@ def make_points(
     even = size * np.sqrt(len(ground.coarse) / max(count, 1))
     middle = np.exp(np.log(radius).mean()) if len(radius) else 1.0
     wanted = guides.limit(radius * np.float32(even / middle), ground.coarse, guides.NEAR * size)
-    fragments = ground.fragments
-    asked = _at_fragments(ground, wanted)
-    fragments = Fragments(fragments.parent, fragments.weights, fragments.area, asked)
+    fragments = replace(ground.fragments, radius=_at_fragments(ground, wanted))
     fragments = fragments.scaled(count, FINEST * even, LARGEST * even)
     darts = throw(scene, fragments, lambda s: ground.sources.see(s.position, s.flat), seed, tick=tick, **how)
     ao = guides.openness(darts.samples, ground.bvh, ground.reach, RAYS, ground.offset, seed + 2)
@@ -163,8 +158,7 @@ def _at_fragments(ground, radius):
     """(2 f,) float32 radius on each side of each fragment, NaN where light does not get."""
     scene, parent = ground.scene, ground.fragments.parent
     middle = np.einsum("nkc,ncd->nd", ground.fragments.weights, scene.positions[scene.triangles[parent]]) / 3
-    cross = scene.triangle_cross()[parent]
-    flat = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30)
+    flat = unit(scene.triangle_cross()[parent])
     near = guides.NEAR * ground.size
     result = guides.spread(radius, ground.coarse, near, middle, flat).reshape(-1)
     # a wire that no coarse dart hit: its own look

@@ -8,13 +8,13 @@ the radius there, since elsewhere most would be thrown away.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..sampling import hash_uint32, hash_uniform
 from ..scene import Scene
-from ..surface import SurfaceSamples, no_samples, sample_triangles
+from ..surface import SurfaceSamples, inside_triangle, no_samples, sample_triangles
 from .grid import LevelGrid, in_chunks
 
 PACKING = 0.6
@@ -30,6 +30,7 @@ FLAT = 0.5
 """Points whose connection rises more than this over the surface, relative to its length, lie on different sheets."""
 
 LARGEST_BATCH = 524_288
+"""Darts handled together at most, so that memory is bounded."""
 
 WINDOW = 16_384
 """Darts over which the hit rate is judged."""
@@ -65,12 +66,9 @@ class Fragments:
         # bisection: the clamps make the count anything but a power of the scale
         for _ in range(80):
             scale = np.sqrt(low * high)
-            trial = self._with(np.clip(self.radius * np.float32(scale), least, most))
+            trial = replace(self, radius=np.clip(self.radius * np.float32(scale), np.float32(least), np.float32(most)))
             low, high = (scale, high) if trial.expected() > count else (low, scale)
         return trial
-
-    def _with(self, radius):
-        return Fragments(self.parent, self.weights, self.area, radius.astype(np.float32))
 
 
 @dataclass(frozen=True)
@@ -83,6 +81,11 @@ class Darts:
     back: np.ndarray
     number: np.ndarray
     thrown: int
+
+    def join(self, samples, radius, back, number, thrown: int) -> Darts:
+        """With more that stuck, after `thrown` in all."""
+        mine = (self.radius, radius), (self.back, back), (self.number, number)
+        return Darts(self.samples.join(samples), *(np.concatenate(pair) for pair in mine), thrown)
 
 
 def throw(
@@ -98,57 +101,36 @@ def throw(
     """Throw darts until the surface is full, or `count` stick.
 
     reached(samples): (n,) bool, whether light gets there. batch: darts handled together at first, then as many as were
-    thrown before; it changes nothing but time.
-    darts: thrown for each point that fits.
-    tick(darts thrown) follows each batch.
+    thrown before; it changes nothing but time. darts: thrown for each point that fits. tick(darts thrown) follows each
+    batch.
     """
     density = fragments.density()
     limit = int(darts * PACKING * density.sum()) + 64
     # float64: the smallest fragments' shares are below float32's steps
     total = np.cumsum(density)
     low = scene.positions.min(axis=0)
-    kept: list[tuple[SurfaceSamples, np.ndarray, np.ndarray, np.ndarray]] = []
     stuck_in = np.zeros(-(-limit // WINDOW) + 1, np.int64)
-    grid, position, normal, radius = (
-        LevelGrid(low).fill(np.zeros((0, 3), np.float32), np.zeros(0, np.float32)),
-        *_none(),
-    )
-    at, stuck = 0, 0
-    while at < limit and total[-1] > 0:
+    grid = LevelGrid(low)
+    stuck = Darts(no_samples(), np.zeros(0, np.float32), np.zeros(0, bool), np.zeros(0, np.int64), 0)
+    while stuck.thrown < limit and total[-1] > 0:
+        at = stuck.thrown
         number = np.arange(at, min(at + max(batch, min(at, LARGEST_BATCH)), limit))
         samples, r, back = _place(scene, fragments, total, number, seed)
-        free = np.flatnonzero(~_conflicts(grid, position, normal, radius, samples, r))
+        free = np.flatnonzero(~_conflicts(grid, stuck, samples, r))
         free = free[reached(samples.take(free))]
         chosen = free[first_come(samples.take(free), r[free], low)]
         end = _end(stuck_in, number[chosen], at + len(number), limit)
         chosen = chosen[number[chosen] < end]
         if count is not None:
-            chosen = chosen[: count - stuck]
-        kept.append((samples.take(chosen), r[chosen], back[chosen], number[chosen]))
-        stuck += len(chosen)
-        at += len(number)
+            chosen = chosen[: count - len(stuck.radius)]
+        fresh = (samples.take(chosen), r[chosen], back[chosen], number[chosen])
+        stuck = stuck.join(*fresh, thrown=at + len(number))
         if tick is not None:
             tick(len(number))
-        if end < at or (count is not None and stuck >= count):
+        if end < stuck.thrown or (count is not None and len(stuck.radius) >= count):
             break
-        position = np.concatenate([position, kept[-1][0].position])
-        normal = np.concatenate([normal, kept[-1][0].normal])
-        radius = np.concatenate([radius, kept[-1][1]])
-        grid.fill(position, radius)
-    return _gathered(kept, at)
-
-
-def _none():
-    return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
-
-
-def _gathered(kept, thrown):
-    if not kept:
-        return Darts(no_samples(), np.zeros(0, np.float32), np.zeros(0, bool), np.zeros(0, np.int64), thrown)
-    samples = kept[0][0]
-    for part in kept[1:]:
-        samples = samples.join(part[0])
-    return Darts(samples, *(np.concatenate([k[i] for k in kept]) for i in (1, 2, 3)), thrown)
+        grid.fill(stuck.samples.position, stuck.radius)
+    return stuck
 
 
 def _end(stuck_in, number, at, limit):
@@ -160,14 +142,12 @@ def _end(stuck_in, number, at, limit):
 
 def _place(scene, fragments, total, number, seed):
     """Places, radii and sides of darts, each from its number alone."""
-    # 48 random bits: there may be more fragments than 24 bits tell apart
+    # two hashes: there may be more fragments than the bits of one float32 tell apart
     fine = hash_uint32(number, 0, seed).astype(np.float64) * 2.0**-32 + hash_uint32(number, 1, seed) * 2.0**-64
     side = np.searchsorted(total, fine * total[-1], side="right")
-    side = np.minimum(side, int(np.flatnonzero(total < total[-1])[-1]) + 1 if total[0] < total[-1] else 0)
-    root, across = np.sqrt(hash_uniform(number, 2, seed)), hash_uniform(number, 3, seed)
-    inside = np.stack([1 - root, root * (1 - across), root * across], 1).astype(np.float32)
-    # off the very edge, where a wall may stand
-    inside = np.float32(0.999) * inside + np.float32(0.001 / 3)
+    # rounding must not go past the last side that has points
+    side = np.minimum(side, np.searchsorted(total, total[-1]))
+    inside = inside_triangle(hash_uniform(number, 2, seed), hash_uniform(number, 3, seed))
     radius = fragments.radius[side]
     weights = np.einsum("nk,nkc->nc", inside, fragments.weights[side // 2])
     back = side % 2 == 1
@@ -190,11 +170,12 @@ def conflicting(
     return near[alike & (rise <= FLAT * np.sqrt(distance2[near]))]
 
 
-def _conflicts(grid, position, normal, radius, samples, r):
-    """(n,) bool: whether a point that is there already is too near."""
+def _conflicts(grid, stuck, samples, r):
+    """(n,) bool: whether a dart that stuck already is too near."""
     found = np.zeros(len(r), bool)
-    if not len(radius):
+    if not len(stuck.radius):
         return found
+    there = stuck.samples.position, stuck.samples.normal, stuck.radius
 
     def part(s):
         bad = np.zeros(s.stop - s.start, bool)
@@ -203,7 +184,7 @@ def _conflicts(grid, position, normal, radius, samples, r):
             left = np.flatnonzero(~bad)
             here = samples.position[s][left], samples.normal[s][left], r[s][left]
             query, point = grid.pairs(here[0], here[2], own)
-            rows = conflicting(query, point, here, (position, normal, radius))
+            rows = conflicting(query, point, here, there)
             bad[left[query[rows]]] = True
         found[s] = bad
 

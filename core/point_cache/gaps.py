@@ -25,9 +25,8 @@ def serve(
 ) -> tuple[PointSet, Weights]:
     """Weights for all places (q,), and the points with those added that places without any became.
 
-    kernel: see `Interpolator.weights`. buried(places): (n,) bool, those that need none
-    and keep weights of 0. The added points keep their distance too: the radius is that of the nearest points, whichever
-    way they face.
+    kernel: see `Interpolator.weights`. buried(places): (n,) bool, those that need none and keep weights of 0. The added
+    points keep their distance too: the radius is that of the nearest points, whichever way they face.
     """
     bvh, offset = ground.bvh, ground.offset
     found = Interpolator(points, bvh, offset).weights(places, kernel)

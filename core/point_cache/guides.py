@@ -8,8 +8,6 @@ distance keeps dark corners from starving: r ∝ (Rh / g)^¼.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from ..rays import Bvh, chunks, in_threads, product3
@@ -36,9 +34,8 @@ NEAR = 1.5
 
 
 def surroundings(
-    samples: SurfaceSamples, bvh: Bvh, reach: float, rays: int, offset: float, seed: int = 0,
-    tick: Callable[[int], None] | None = None,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    samples: SurfaceSamples, bvh: Bvh, reach: float, rays: int, offset: float, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
     """Openness and harmonic mean distance, (n,) float32 each, from `rays` cosine rays.
 
     Openness in [0, 1] is ambient occlusion as it is shown: the part of the rays that meet nothing within `reach` m,
@@ -47,44 +44,43 @@ def surroundings(
     ao, harmonic = np.empty(len(samples), np.float32), np.empty(len(samples), np.float32)
 
     def part(s):
-        axes = turns(samples.normal[s], s, seed).reshape(3, -1)
-        origins = np.ascontiguousarray(samples.position[s] + samples.flat[s] * np.float32(offset))
-        pattern = cosine_hemisphere(hammersley_points(rays, seed + s.start)).astype(np.float32)
+        origins, directions = _looks(samples, s, rays, offset, seed)
         open_, inverse = np.zeros(len(origins), np.float32), np.zeros(len(origins), np.float32)
         far = np.full(len(origins), reach, np.float32)
-        for row in pattern:
-            distance = bvh.hits(origins, product3(row[None], axes).reshape(-1, 3), far).distance
-            part_open = np.minimum(distance / np.float32(reach), 1)
+        for direction in directions:
+            part_open = np.minimum(bvh.hits(origins, direction, far).distance / np.float32(reach), 1)
             open_ += part_open
             inverse += 1 / np.maximum(part_open, np.float32(1e-3))
         ao[s] = open_ / rays
         harmonic[s] = np.float32(reach) * rays / inverse
-        if tick is not None:
-            tick(rays * len(origins))
 
     in_threads(part, chunks(len(samples), 4096))
     return ao, harmonic
 
 
-def openness(
-    samples: SurfaceSamples, bvh: Bvh, reach: float, rays: int, offset: float, seed: int = 0
-) -> np.ndarray:  # fmt: skip
+def openness(samples: SurfaceSamples, bvh: Bvh, reach: float, rays: int, offset: float, seed: int = 0) -> np.ndarray:
     """(n,) float32: the openness of `surroundings` alone, in half the time: each ray asks only whether anything is
     nearer than its own part of the reach, and the parts are spread evenly."""
     result = np.empty(len(samples), np.float32)
+    length = np.float32(reach) * ((np.arange(rays) * LENGTHS + 0.5 / rays) % 1).astype(np.float32)
 
     def part(s):
-        axes = turns(samples.normal[s], s, seed).reshape(3, -1)
-        origins = np.ascontiguousarray(samples.position[s] + samples.flat[s] * np.float32(offset))
-        pattern = cosine_hemisphere(hammersley_points(rays, seed + s.start)).astype(np.float32)
-        length = np.float32(reach) * ((np.arange(rays) * LENGTHS + 0.5 / rays) % 1).astype(np.float32)
+        origins, directions = _looks(samples, s, rays, offset, seed)
         blocked = np.zeros(len(origins), np.float32)
-        for row, far in zip(pattern, length, strict=True):
-            blocked += bvh.occluded(origins, product3(row[None] * far, axes).reshape(-1, 3))
+        for direction, far in zip(directions, length, strict=True):
+            blocked += bvh.occluded(origins, direction * far)
         result[s] = 1 - blocked / np.float32(rays)
 
     in_threads(part, chunks(len(samples), 4096))
     return result
+
+
+def _looks(samples, s, rays, offset, seed):
+    """Origins (m, 3) float32 of the cosine rays of samples `s`, and their directions, (m, 3) for each ray in turn."""
+    axes = turns(samples.normal[s], s, seed).reshape(3, -1)
+    origins = np.ascontiguousarray(samples.position[s] + samples.flat[s] * np.float32(offset))
+    pattern = cosine_hemisphere(hammersley_points(rays, seed + s.start)).astype(np.float32)
+    return origins, (product3(row[None], axes).reshape(-1, 3) for row in pattern)
 
 
 def uniform(samples: SurfaceSamples) -> np.ndarray:
@@ -102,19 +98,10 @@ def by_occlusion_gradient(ao: np.ndarray, samples: SurfaceSamples, size: float) 
 
     size: m, within which neighbours tell the change.
     """
-    grid, radius = _ball_grid(samples.position, size)
-
-    def part(s):
-        query, point = grid.pairs(samples.position[s], radius[s])
-        query = query + s.start
-        keep = _alike(samples, query, point, size)
-        query, point = query[keep], point[keep]
-        apart = np.maximum(np.linalg.norm(samples.position[point] - samples.position[query], axis=1), 1e-3 * size)
-        steep = np.abs(ao[point] - ao[query]) / apart
-        count = np.bincount(query - s.start, minlength=s.stop - s.start)
-        return np.bincount(query - s.start, steep, s.stop - s.start) / np.maximum(count, 1)
-
-    change = np.concatenate(in_chunks(part, len(ao))).astype(np.float32) * np.float32(size)
+    query, point = _neighbours(samples, size)
+    apart = np.maximum(np.linalg.norm(samples.position[point] - samples.position[query], axis=1), 1e-3 * size)
+    steep = np.bincount(query, np.abs(ao[point] - ao[query]) / apart, len(ao))
+    change = np.float32(size) * (steep / np.maximum(np.bincount(query, minlength=len(ao)), 1)).astype(np.float32)
     return by_occlusion(ao) / np.sqrt(1 + change / max(float(change.mean()), 1e-9))
 
 
@@ -130,7 +117,7 @@ def spread(
 ) -> np.ndarray:
     """(q, 2) float32 `values` (n,) of `known` on both sides of places (q, 3) with normals (q, 3), by the logarithms'
     mean over those within `size` m that face alike; NaN where there are none."""
-    grid, _ = _ball_grid(known.position, size)
+    grid = _ball_grid(known.position, size)
     log = np.log(values).astype(np.float32)
 
     def part(s):
@@ -174,16 +161,7 @@ def limit(radius: np.ndarray, samples: SurfaceSamples, size: float) -> np.ndarra
 
     So points that are near each other have like radii, and small ones announce themselves.
     """
-    grid, reach = _ball_grid(samples.position, size)
-
-    def part(s):
-        query, point = grid.pairs(samples.position[s], reach[s])
-        query = query + s.start
-        keep = _alike(samples, query, point, size)
-        return query[keep], point[keep]
-
-    parts = in_chunks(part, len(radius))
-    query, point = (np.concatenate([p[k] for p in parts]) if parts else np.zeros(0, np.int64) for k in (0, 1))
+    query, point = _neighbours(samples, size)
     apart = np.linalg.norm(samples.position[point] - samples.position[query], axis=1)
     radius = np.minimum(radius, RATIO * radius.min(initial=np.inf)).astype(np.float32)
     for _ in range(20):
@@ -195,12 +173,24 @@ def limit(radius: np.ndarray, samples: SurfaceSamples, size: float) -> np.ndarra
 
 
 def _ball_grid(position, size):
-    radius = np.full(len(position), size, np.float32)
+    """Points in a grid whose queries of radius `size` m find all within that."""
     low = position.min(axis=0) if len(position) else np.zeros(3)
-    return LevelGrid(low).fill(position, radius), radius
+    return LevelGrid(low).fill(position, np.full(len(position), size, np.float32))
 
 
-def _alike(samples, query, point, size):
-    apart = samples.position[point] - samples.position[query]
-    near = np.einsum("nd,nd->n", apart, apart) < np.float32(size) ** 2
-    return near & (np.einsum("nd,nd->n", samples.flat[point], samples.flat[query]) > 0.5) & (query != point)
+def _neighbours(samples, size):
+    """Pairs of samples within `size` m of each other that face alike: (m,) the one, (m,) the other; each pair both
+    ways, and some twice."""
+    grid = _ball_grid(samples.position, size)
+
+    def part(s):
+        query, point = grid.pairs(samples.position[s], np.full(s.stop - s.start, size, np.float32))
+        query = query + np.int32(s.start)
+        apart = samples.position[point] - samples.position[query]
+        keep = (np.einsum("nd,nd->n", apart, apart) < np.float32(size) ** 2) & (query != point)
+        query, point = query[keep], point[keep]
+        alike = np.einsum("nd,nd->n", samples.flat[point], samples.flat[query]) > 0.5
+        return query[alike], point[alike]
+
+    parts = in_chunks(part, len(samples)) or [(np.zeros(0, np.int32),) * 2]
+    return tuple(np.concatenate(column) for column in zip(*parts, strict=True))

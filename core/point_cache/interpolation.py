@@ -56,6 +56,10 @@ class Weights:
         """(q,) bool: places that no point serves, which need a gather of their own."""
         return ~self.weight.any(axis=1)
 
+    def take(self, rows: np.ndarray | slice) -> Weights:
+        """Those of the places at `rows`."""
+        return Weights(self.point[rows], self.weight[rows])
+
     def apply(self, values: np.ndarray) -> np.ndarray:
         """(q, c) of values (n, c)."""
         total = values.take(self.point[:, 0], axis=0) * self.weight[:, :1]

@@ -1,7 +1,7 @@
 """Where light is known: points on surfaces, the atlas' texels, and patches that pass light on."""
 
 from .patches import Patches, make_patches
-from .samples import SurfaceSamples, no_samples, sample_triangles, surface_colour
+from .samples import SurfaceSamples, inside_triangle, no_samples, sample_triangles, surface_colour, unit
 from .texels import Texels, make_texels
 from .vertices import Vertices, make_vertices
 
@@ -10,10 +10,12 @@ __all__ = [
     "SurfaceSamples",
     "Texels",
     "Vertices",
+    "inside_triangle",
     "make_patches",
     "make_texels",
     "make_vertices",
     "no_samples",
     "sample_triangles",
     "surface_colour",
+    "unit",
 ]

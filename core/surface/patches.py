@@ -12,7 +12,7 @@ import numpy as np
 
 from ..sampling import hash_uniform
 from ..scene import Scene
-from .samples import SurfaceSamples, sample_triangles, surface_colour
+from .samples import SurfaceSamples, inside_triangle, sample_triangles, surface_colour
 
 ROOM = 100
 """Patches, about, of a connected part of a mesh that keeps them to itself."""
@@ -60,11 +60,7 @@ class Patches:
         first = np.concatenate([[0], last[:-1]])
         row = np.clip(np.searchsorted(total, pick, side="right"), first[patch], last[patch] - 1)
         piece = order[row]
-        root = np.sqrt(hash_uniform(index, 1, seed))
-        across = hash_uniform(index, 2, seed)
-        inside = np.stack([1 - root, root * (1 - across), root * across], 1).astype(np.float32)
-        # off the very edge, where a wall may stand
-        inside = 0.999 * inside + np.float32(0.001 / 3)
+        inside = inside_triangle(hash_uniform(index, 1, seed), hash_uniform(index, 2, seed))
         weights = np.einsum("nk,nkc->nc", inside, self.weights[piece])
         return sample_triangles(scene, self.parent[piece], weights)
 

@@ -77,6 +77,14 @@ def sample_triangles(scene: Scene, triangle: np.ndarray, weights: np.ndarray) ->
     return SurfaceSamples(position, normal.astype(np.float32), flat, triangle.astype(np.int32), weights)
 
 
+def inside_triangle(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """(n, 3) float32 barycentric weights, uniform by area where the (n,) numbers are uniform in [0, 1)."""
+    root = np.sqrt(first)
+    inside = np.stack([1 - root, root * (1 - second), root * second], 1).astype(np.float32)
+    # off the very edge, where a wall may stand
+    return np.float32(0.999) * inside + np.float32(0.001 / 3)
+
+
 def unit(vectors: np.ndarray) -> np.ndarray:
     """(n, 3) float32 scaled to length 1; float64 inside, since millimetre scenes square to denormals."""
     wide = vectors.astype(np.float64)

@@ -39,7 +39,8 @@ class Entries:
     a patch its places lie on the part that is left, and area counts that part only.
     patch: (n,) int32. back: (n,) bool, the patch's reverse. area: (n,) float64 m². position, normal:
     (n, 3) float32. albedo: (n, 3) float32 in [0, MAX_ALBEDO]. radiosity: (n, 3) float32 emitted, W/m².
-    front_id, back_id: (patches,) int32 entry of each patch's side, n where it has none.
+    front_id, back_id: (patches,) int32 entry of each patch's side, n where it has none. hidden: (n,) bool, entries of
+    which only a sliver shows: all their places lie inside other things.
     """
 
     patch: np.ndarray
@@ -52,6 +53,7 @@ class Entries:
     front_id: np.ndarray
     back_id: np.ndarray
     places: SurfaceSamples
+    hidden: np.ndarray
 
     def __len__(self) -> int:
         return len(self.patch)
@@ -141,7 +143,8 @@ def _significant(hits, patches):
 
 def _make(patches, sides, places, hidden):
     count = len(sides)
-    hidden = np.where(hidden.all(axis=1, keepdims=True), False, hidden)
+    all_hidden = hidden.all(axis=1)
+    hidden = hidden & ~all_hidden[:, None]
     # places that are left stand in for the hidden ones, in turns
     left = PLACES - hidden.sum(axis=1)
     order = np.argsort(hidden, axis=1, kind="stable")
@@ -167,4 +170,5 @@ def _make(patches, sides, places, hidden):
         front_id=front_id,
         back_id=back_id,
         places=places,
+        hidden=all_hidden,
     )

@@ -30,6 +30,12 @@ def quick(monkeypatch):
     monkeypatch.setattr(baking, "Settings", functools.partial(baking.Settings, **SMALL))
 
 
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """Where the first test of a module that bakes leaves the scene for the others (`files.baked_once`)."""
+    return tmp_path_factory.mktemp("baked") / "room.blend"
+
+
 @pytest.fixture
 def room(blender):
     """A closed room 2 m wide with a block in it and a point lamp; returns the scene."""

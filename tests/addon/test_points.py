@@ -10,24 +10,15 @@ bpy = pytest.importorskip("bpy")
 from lightpanes.addon import colours, commands, overlay, picture, points, relight, store  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
 
+from .files import baked_once, reopen  # noqa: E402
+
 pytestmark = pytest.mark.usefixtures("quick")
-
-
-@pytest.fixture(scope="module")
-def saved(tmp_path_factory):
-    """Where the first test that bakes leaves the scene for the others."""
-    return tmp_path_factory.mktemp("baked") / "room.blend"
 
 
 @pytest.fixture
 def baked(room, saved):
-    if saved.exists():
-        bpy.ops.wm.open_mainfile(filepath=str(saved))
-        return bpy.context.scene
     room.lightpanes.exits = "POINTS"
-    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
-    bpy.ops.wm.save_as_mainfile(filepath=str(saved), copy=True)
-    return room
+    return baked_once(room, saved)
 
 
 def update():
@@ -88,14 +79,6 @@ def test_they_follow_the_lamps(baked):
     lamp.data.energy = 0.0
     update()
     assert light().max() == 0
-
-
-def reopen(tmp_path):
-    path = str(tmp_path / "saved.blend")
-    bpy.ops.wm.save_as_mainfile(filepath=path)
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.ops.wm.open_mainfile(filepath=path)
-    return bpy.context.scene
 
 
 def test_they_follow_after_reopening(baked, tmp_path):

@@ -10,6 +10,8 @@ bpy = pytest.importorskip("bpy")
 from lightpanes.addon import relight, store  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
 
+from .files import reopen  # noqa: E402
+
 pytestmark = pytest.mark.usefixtures("quick")
 
 
@@ -241,14 +243,6 @@ def add_camera(scene):
     camera.location, camera.rotation_euler = (0, -0.9, 0), (np.pi / 2, 0, 0)
     scene.camera, scene.render.engine, scene.cycles.samples = camera, "CYCLES", 1
     scene.render.resolution_x = scene.render.resolution_y = 16
-
-
-def reopen(tmp_path):
-    path = str(tmp_path / "saved.blend")
-    bpy.ops.wm.save_as_mainfile(filepath=path)
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.ops.wm.open_mainfile(filepath=path)
-    return bpy.context.scene
 
 
 def test_relights_after_reopening(baked, tmp_path):

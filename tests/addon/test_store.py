@@ -9,6 +9,8 @@ from lightpanes.addon import store  # noqa: E402
 from lightpanes.core.bake import Bake  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
 
+from .files import reopen  # noqa: E402
+
 
 def make_bake(seed=0, resolution=16, entries=37):
     """A Bake of noise, odd values included, in every shape that can be stored."""
@@ -45,14 +47,6 @@ def assert_same(a: Bake, b: Bake):
         assert x.dtype == y.dtype and x.shape == y.shape
         assert np.ascontiguousarray(x).tobytes() == np.ascontiguousarray(y).tobytes()
     assert a.meta == b.meta
-
-
-def reopen(tmp_path):
-    path = str(tmp_path / "saved.blend")
-    bpy.ops.wm.save_as_mainfile(filepath=path)
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.ops.wm.open_mainfile(filepath=path)
-    return bpy.context.scene
 
 
 def ours():

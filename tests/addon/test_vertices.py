@@ -7,6 +7,8 @@ bpy = pytest.importorskip("bpy")
 
 from lightpanes.addon import nodes, store, vertices  # noqa: E402
 
+from .files import baked_once  # noqa: E402
+
 pytestmark = pytest.mark.usefixtures("quick")
 
 LIGHT, UV = "lightpanes_irradiance", "Lightpanes"
@@ -21,20 +23,9 @@ def asking(room):
     return room
 
 
-@pytest.fixture(scope="module")
-def saved(tmp_path_factory):
-    """Where the first test that bakes leaves the scene for the others."""
-    return tmp_path_factory.mktemp("baked") / "room.blend"
-
-
 @pytest.fixture
 def baked(asking, saved):
-    if saved.exists():
-        bpy.ops.wm.open_mainfile(filepath=str(saved))
-        return bpy.context.scene
-    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
-    bpy.ops.wm.save_as_mainfile(filepath=str(saved), copy=True)
-    return asking
+    return baked_once(asking, saved)
 
 
 def finer(item, cuts=3):

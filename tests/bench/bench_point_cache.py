@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
+from lightpanes.core import rays
 from lightpanes.core.bake import Settings, bake
-from lightpanes.core.bake.check import fresh_values, pane_values
+from lightpanes.core.bake.check import fresh_values, interpolation_error, pane_values
 from lightpanes.core.bake.clock import Clock
 from lightpanes.core.bake.steps import own_region, prepare
 from lightpanes.core.bake.stored import bake_points
 from lightpanes.core.lights import irradiance
 from lightpanes.core.panes import Relighter
-from lightpanes.core.point_cache import Interpolator, PointSet, Weights, make_points, serve, survey
+from lightpanes.core.panes.regions import region_of
+from lightpanes.core.point_cache import Interpolator, PointSet, make_points, serve, survey
 from lightpanes.core.point_cache import guides as steer
 from lightpanes.core.point_cache.darts import FLAT, LIKE
 from lightpanes.core.point_cache.grid import DiscGrid, LevelGrid, in_chunks
@@ -37,6 +40,7 @@ def rows() -> Iterator[dict]:
     yield from query_rows()
     yield from shadow_rows()
     yield from error_rows()
+    yield from guide_rows()
     for name in TEXELS:
         yield from exit_rows(name)
 
@@ -64,13 +68,25 @@ def make_rows() -> Iterator[dict]:
     small = make_points(ground, steer.by_occlusion(ground.ao), 20_000)
     yield harness.row("pairs that break the minimum distance", broken_pairs(small), 0, detail=f"all pairs of {len(small)} points of the atrium")  # fmt: skip
     others = [make_points(ground, steer.by_occlusion(ground.ao), 20_000, batch=batch) for batch in (3000, 1 << 20)]
+    with one_thread():
+        others.append(make_points(ground, steer.by_occlusion(ground.ao), 20_000))
     differ = sum(not np.array_equal(small.position, other.position) for other in others)
-    yield harness.row("sets that other batch sizes make different", differ, 0, detail="batches of 3,000, 65,536 and 1,048,576 darts")  # fmt: skip
+    yield harness.row("sets that other batch sizes or one thread make different", differ, 0, detail="batches of 3,000, 65,536 and 1,048,576 darts")  # fmt: skip
     even = make_points(ground, steer.uniform(ground.coarse), 20_000)
     distance, correlation = pair_correlation(even)
     point_charts.draw_blue_noise(distance, correlation, even)
     close = correlation[distance < 0.98].max()
     yield harness.row("blue noise: pair correlation within the radius", close, 0.01, detail="out/bench/points_blue_noise.png")  # fmt: skip
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    was = rays.thread_count
+    rays.thread_count = lambda: 1
+    try:
+        yield
+    finally:
+        rays.thread_count = was
 
 
 def broken_pairs(points: PointSet) -> int:
@@ -94,9 +110,8 @@ def pair_correlation(points: PointSet) -> tuple[np.ndarray, np.ndarray]:
     edges = np.linspace(0, 4, 81)
     position = points.position.astype(np.float64)
     radius = float(np.median(points.radius))
-    found, around = np.zeros(80), 0
-    # the court's floor, inwards of its border
-    flat = np.flatnonzero((points.normal[:, 2] > 0.99) & (np.abs(position[:, 2] - np.median(position[:, 2])) < 100))
+    # the largest floor, inwards of its border
+    flat = np.flatnonzero(points.normal[:, 2] > 0.99)
     level = np.round(position[flat, 2], 3)
     names, counts = np.unique(level, return_counts=True)
     own = position[flat[level == names[counts.argmax()]], :2]
@@ -138,8 +153,8 @@ def shadow_rows() -> Iterator[dict]:
     rng = np.random.default_rng(2)
     places = made.exits.samples.take(np.sort(rng.permutation(len(made.exits))[:6000]))
 
-    def looks(samples, rays, spp):
-        ao = steer.openness(samples, made.bvh, ground.reach, rays, made.tracer.offset, 9)
+    def looks(samples, looks_each, spp):
+        ao = steer.openness(samples, made.bvh, ground.reach, looks_each, made.tracer.offset, 9)
         lifted = samples.position + samples.flat * np.float32(made.tracer.offset)
         light = irradiance(lamp, lifted, samples.normal, made.tracer.visibility, spp, 9)
         return {"ambient occlusion": ao, "soft shadows": light if light.ndim == 1 else light.mean(axis=1)}
@@ -221,6 +236,28 @@ def _error_rows(name, counts, found):
     yield harness.row(f"{label}: best guide over uniform", guides[best] / uniform, 0.75, detail=detail)
 
 
+def guide_rows() -> Iterator[dict]:
+    """What the guide is worth in a whole bake, whose test lamps stand near surfaces as well."""
+    for name in ("cornell", "pillars"):
+        settings = Settings(exits="points")
+        made = prepare(scenes.open_sample(name), settings)
+        guides = {
+            "lamps": None,
+            "uniform": lambda ground: steer.uniform(ground.coarse),
+            "occlusion": lambda ground: steer.by_occlusion(ground.ao),
+            "occlusion gradient": lambda ground: steer.by_occlusion_gradient(ground.ao, ground.coarse, 2 * ground.size),
+            "harmonic": lambda ground: ground.harmonic,
+        }
+        found = {}
+        for guide, radius in guides.items():
+            stored = bake_points(made, settings, Clock(), radius)
+            found[guide] = interpolation_error(made, stored, settings.seed), stored.gathered
+        others = {guide: error for guide, (error, _) in found.items() if guide != "lamps"}
+        detail = ", ".join(f"{guide} {error:.3f} with {count}" for guide, (error, count) in found.items())
+        label = f"a bake's own estimate at points, {name}: lamp guide over the best other"
+        yield harness.row(label, found["lamps"][0] / min(others.values()), detail=detail)
+
+
 def exit_rows(name: str) -> Iterator[dict]:
     """Exits at points against exits at texels, at 1024²."""
     scene = scenes.open_sample(name, 1024)
@@ -234,10 +271,10 @@ def exit_rows(name: str) -> Iterator[dict]:
     label = f"points over texels as exits, {name}, 1024²"
     off = exit_errors(scene)
     yield harness.row(f"{label}: error of points", off["points"], 0.05, detail=f"texels {off['texels']:.3f}; 4×4 blocks, lamps not trained on, against {off['rays']} rays a texel with the same panes; median lamp {off['median']:.3f}")  # fmt: skip
-    rays, whole = TEXELS[name]
+    fewer, whole = TEXELS[name]
     of_texels = first["texels"] * first["budget"]["exit_rays"]
     of_points = second["gathered_points"] * second["budget"]["point_rays"]
-    yield harness.row(f"{label}: rays", of_points / of_texels, rays, detail=f"{of_points / 1e6:.1f} of {of_texels / 1e6:.1f} M; {second['gathered_points']} gathered, {second['stored_points']} stored, {first['texels']} texels")  # fmt: skip
+    yield harness.row(f"{label}: rays", of_points / of_texels, fewer, detail=f"{of_points / 1e6:.1f} of {of_texels / 1e6:.1f} M; {second['gathered_points']} gathered, {second['stored_points']} stored, {first['texels']} texels")  # fmt: skip
     stages = f"points {second['stages']}; texels {first['stages']}"
     yield harness.row(f"{label}: time of the whole bake", second["seconds"] / first["seconds"], whole, detail=stages)
     shown = lambda report, *names: sum(report["stages"].get(n, 0) for n in names)  # noqa: E731
@@ -262,8 +299,9 @@ def exit_rows(name: str) -> Iterator[dict]:
 def exit_errors(scene) -> dict[str, float]:
     """Relative RMSE of 4×4 blocks of texels, mean over lamps not trained on, of both kinds of exits with one and the
     same panes, against many rays; noise removed by two seeds of the reference."""
-    made = prepare(scene, Settings(resolution=1024, exits="points"))
-    stored = bake_points(made, 0, Clock())
+    settings = Settings(resolution=1024, exits="points")
+    made = prepare(scene, settings)
+    stored = bake_points(made, settings, Clock())
     size = made.exits.resolution
     row = np.full(size * size, -1)
     row[made.exits.index] = np.arange(len(made.exits))
@@ -275,16 +313,15 @@ def exit_errors(scene) -> dict[str, float]:
     region = own_region(made, some)
     order = np.argsort(region, kind="stable")
     back = np.argsort(order)
-    rays = 1024
+    many = 1024
 
     def fresh(count, seed):
         values = fresh_values(made, some.take(order), region[order], count, seed)[back]
         return values.reshape(-1, 16, values.shape[1]).mean(axis=1)
 
-    known = np.repeat(np.arange(len(stored.starts) - 1), np.diff(stored.starts))
-    ours = Weights(stored.texels.point[rows], stored.texels.weight[rows]).apply(pane_values(made, stored.rows, known))
+    ours = stored.texels.take(rows).apply(pane_values(made, stored.rows, region_of(stored.starts)))
     ours = ours.reshape(-1, 16, ours.shape[1]).mean(axis=1)
-    texels, truth = fresh(made.budget.exit_rays, 5), (fresh(rays, 1), fresh(rays, 2))
+    texels, truth = fresh(made.budget.exit_rays, 5), (fresh(many, 1), fresh(many, 2))
     mean = truth[0].mean(axis=0)
     each = {n: np.sqrt(np.maximum(((v - truth[0]) * (v - truth[1])).mean(axis=0), 0)) / mean for n, v in (("points", ours), ("texels", texels))}  # fmt: skip
-    return {n: float(e.mean()) for n, e in each.items()} | {"rays": rays, "median": float(np.median(each["points"]))}
+    return {n: float(e.mean()) for n, e in each.items()} | {"rays": many, "median": float(np.median(each["points"]))}

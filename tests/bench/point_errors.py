@@ -17,7 +17,6 @@ from lightpanes.core.point_cache import (
     Ground,
     Interpolator,
     PointSet,
-    Weights,
     gather_gradients,
     lamp_radius,
     make_points,
@@ -150,6 +149,3 @@ def at_count(found: list[tuple[int, float]], count: float) -> float:
     counts, errors = np.log(np.array(found, float)).T
     slope, level = np.polyfit(counts, errors, 1) if len(found) > 1 else (-0.5, errors[0] + 0.5 * counts[0])
     return float(np.exp(level + slope * np.log(count)))
-
-
-__all__ = ["GUIDES", "INTERPOLATIONS", "PLAIN", "Weights", "at_count", "measure", "measure_plain", "open_setup"]

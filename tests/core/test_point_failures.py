@@ -3,7 +3,6 @@
 What is spread from the points is the direct light of a small lamp, whose truth at any place is one sum over it.
 """
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -295,8 +294,7 @@ def test_a_lamp_in_a_sealed_box_lights_that_box_alone():
 
 def test_a_bake_puts_no_points_into_solid_things():
     # lamps may go anywhere in the room, not into the block
-    ready = prepare(room(lights=[lamp((3, 1.5, 2))]), quick())
-    ready.budget = replace(ready.budget, points=500, point_rays=16)
-    points = bake_points(ready, 0, Clock()).points
+    settings = quick(exits="points", points=500, point_rays=16)
+    points = bake_points(prepare(room(lights=[lamp((3, 1.5, 2))]), settings), settings, Clock()).points
     air = points.position + 1e-3 * points.samples.flat
     assert not inside(air, (1, 0.99, 0), (1.8, 1.98, 1)).any()

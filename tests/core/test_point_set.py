@@ -24,6 +24,13 @@ def test_a_sparser_set_keeps_more_distance():
     assert len(np.unique(pair[:, 0])) > 0.995 * len(left)
 
 
+def test_points_are_stored_as_32_bits():
+    """What a .blend's attributes hold; numpy 2 widens where a float64 number meets a float32 array."""
+    ground = room_ground()
+    points = make_points(ground, np.ones(len(ground.coarse), np.float32), 800)
+    assert {a.dtype for a in (points.position, points.normal, points.radius, points.ao)} == {np.dtype(np.float32)}
+
+
 def test_points_follow_an_object_that_moves():
     ground = room_ground()
     points = make_points(ground, guides.uniform(ground.coarse), 1000)

@@ -25,16 +25,20 @@ def both():
     return made, bake(made, quick(exits="texels", exit_rays=512)), bake(made, quick(**POINTS))
 
 
-@pytest.mark.parametrize("light", [LIGHT, lamp((0.8, 0.8, 1.6)), lamp((2, 2.4, 0.8))])
-def test_points_show_what_texels_show(light):
-    made, texels, points = both()
-    expected, found = (relighter(made, b).relight([light])[..., :3].astype(float).copy() for b in (texels, points))
-    own = texels.own & points.own
+def compare(made, texels, other, light):
+    """Another bake of the room shows what that at texels does, wherever both do."""
+    expected, found = (relighter(made, b).relight([light])[..., :3].astype(float).copy() for b in (texels, other))
+    own = texels.own & other.own
     assert own.sum() > 0.98 * texels.own.sum()
     off = found[own] - expected[own]
     assert abs(off.mean()) < 0.01 * expected[own].mean()
     assert np.sqrt((off**2).mean()) < 0.06 * expected[own].mean()
     assert np.abs(off).max() < expected[own].mean()
+
+
+@pytest.mark.parametrize("light", [LIGHT, lamp((0.8, 0.8, 1.6)), lamp((2, 2.4, 0.8))])
+def test_points_show_what_texels_show(light):
+    compare(*both(), light)
 
 
 def test_the_image_is_the_weighted_sum_of_the_points():
@@ -65,12 +69,7 @@ def test_points_can_be_spread_to_an_atlas():
     assert {n: a.shape for n, a in atlas.images.items() if n != "Lightpanes Weights"} == {
         n: a.shape for n, a in texels.images.items() if n != "Lightpanes Weights"
     }
-    expected, found = (relighter(made, b).relight([LIGHT])[..., :3].astype(float).copy() for b in (texels, atlas))
-    own = texels.own & atlas.own
-    assert own.sum() > 0.98 * texels.own.sum()
-    off = found[own] - expected[own]
-    assert abs(off.mean()) < 0.01 * expected[own].mean()
-    assert np.sqrt((off**2).mean()) < 0.06 * expected[own].mean()
+    compare(made, texels, atlas, LIGHT)
     with pytest.raises(SceneError, match="vertices"):
         bake(vertex_room(), quick(exits="atlas"))
 
@@ -176,6 +175,15 @@ def test_points_are_taken_where_they_are_cheaper():
     assert not uses_points(Settings(exits="texels"), budget, 10_000_000, 0)
     with pytest.raises(SceneError, match="Exits"):
         Settings(exits="pixels")
+
+
+@pytest.mark.parametrize("exits", ["points", "texels", "atlas"])
+def test_a_time_budget_cuts_the_exits_rays(exits):
+    made = room(lights=[LIGHT])
+    # no time is left when the exits' turn comes
+    budget = bake(made, quick(**(POINTS | {"exits": exits, "time_budget": 0.01}))).report["budget"]
+    cut, whole = ("exit_rays", "point_rays") if exits == "texels" else ("point_rays", "exit_rays")
+    assert budget[cut] == 16 and budget[whole] > 16
 
 
 def test_detailed_meshes_want_more_points():

@@ -1,0 +1,22 @@
+"""Saving and opening again."""
+
+import bpy
+
+
+def reopen(tmp_path):
+    """Save, forget everything and open what was saved; returns its scene."""
+    path = str(tmp_path / "saved.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    return bpy.context.scene
+
+
+def baked_once(scene, saved):
+    """The scene baked, for all tests of a module: the first bakes it and leaves it at `saved`, the others open that."""
+    if saved.exists():
+        bpy.ops.wm.open_mainfile(filepath=str(saved))
+        return bpy.context.scene
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    bpy.ops.wm.save_as_mainfile(filepath=str(saved), copy=True)
+    return scene
