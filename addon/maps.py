@@ -63,7 +63,7 @@ def _means(scene, image, placed) -> dict[int, np.ndarray]:
     """Mean of the map by area for each material on the placed triangles."""
     if not placed.any():
         return {}
-    area = np.linalg.norm(scene.triangle_cross()[placed], axis=1).cumsum()
+    area = np.linalg.norm(scene.triangle_cross(placed), axis=1).cumsum()
     strata = (np.arange(MEAN_SAMPLES) + 0.5) / MEAN_SAMPLES
     chosen = np.minimum(np.searchsorted(area, strata * area[-1]), len(area) - 1)
     # the plastic number's sequence spreads points evenly over the triangles that have many

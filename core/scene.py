@@ -227,9 +227,9 @@ class Scene:
         for name in ("triangles", "corner_normals", "atlas_uv", "triangle_material", "triangle_object"):
             setattr(self, name, np.ascontiguousarray(getattr(self, name)[keep]))
 
-    def triangle_cross(self) -> np.ndarray:
-        """(T, 3) float32: geometric normal times twice the area."""
-        a, b, c = (self.positions[self.triangles[:, k]] for k in range(3))
+    def triangle_cross(self, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """(n, 3) float32 of the triangles at `rows`, all if not given: geometric normal times twice the area."""
+        a, b, c = self.positions[self.triangles[rows].T]
         return np.cross(b - a, c - a)
 
     @property

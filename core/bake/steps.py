@@ -37,10 +37,11 @@ class Prepared:
 
     exits: where texels are the exits, the valid ones, sorted by region, and starts: (regions + 1,) where each region's
     begin; where points are, all texels, and no starts. vertices: places of objects that are lit at their vertices.
-    is_buried: tells of places whether they lie inside solid things; buried: how many texels were found to. tables: (regions, ids, c) what a ray that lands on an id brings: the
-    region's modes, then, where the scene has light that no live lamp changes, its bounces (3) and, where sky or faces
-    shine, their first hit (3). guide: (1, ids, c) radiosity of a few lamps, None where texels are the
-    exits. test_direct: (n, TEST_LAMPS) irradiance of held-out lamps, None where no lamp is live.
+    is_buried: tells of places whether they lie inside solid things; buried: how many texels were found to. tables:
+    (regions, ids, c) what a ray that lands on an id brings: the region's modes, then, where the scene has light that no
+    live lamp changes, its bounces (3) and, where sky or faces shine, their first hit (3). guide: (1, ids, c) radiosity
+    of a few lamps, None where texels are the exits. test_direct: (n, TEST_LAMPS) irradiance of held-out lamps, None
+    where no lamp is live.
     """
 
     scene: Scene

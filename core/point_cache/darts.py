@@ -97,12 +97,15 @@ def throw(
     batch: int = 65_536,
     darts: int = DARTS,
     tick: Callable[[int], None] | None = None,
+    least: float = 0.0,
+    measure: Callable[[SurfaceSamples, np.ndarray], np.ndarray] | None = None,
 ) -> Darts:
     """Throw darts until the surface is full, or `count` stick.
 
     reached(samples): (n,) bool, whether light gets there. batch: darts handled together at first, then as many as were
     thrown before; it changes nothing but time. darts: thrown for each point that fits. tick(darts thrown) follows each
-    batch.
+    batch. measure(samples, numbers): (n,) float32 radius of each dart, m, at least `least`, in place of its fragment's,
+    as in the paper: asked of those that have no point within `least` and are reached.
     """
     density = fragments.density()
     limit = int(darts * PACKING * density.sum()) + 64
@@ -115,9 +118,15 @@ def throw(
     while stuck.thrown < limit and total[-1] > 0:
         at = stuck.thrown
         number = np.arange(at, min(at + max(batch, min(at, LARGEST_BATCH)), limit))
-        samples, r, back = _place(scene, fragments, total, number, seed)
+        samples, r, back = _places(scene, fragments, total, number, seed)
+        if measure is not None:
+            r = np.full(len(number), least, np.float32)
         free = np.flatnonzero(~_conflicts(grid, stuck, samples, r))
         free = free[reached(samples.take(free))]
+        if measure is not None:
+            # what sticks with nothing near needs its measure as well: later darts ask how far it keeps them
+            r[free] = measure(samples.take(free), number[free])
+            free = free[~_conflicts(grid, stuck, samples.take(free), r[free])]
         chosen = free[first_come(samples.take(free), r[free], low)]
         end = _end(stuck_in, number[chosen], at + len(number), limit)
         chosen = chosen[number[chosen] < end]
@@ -140,18 +149,24 @@ def _end(stuck_in, number, at, limit):
     return (int(poor[0]) + 1) * WINDOW if len(poor) else limit
 
 
-def _place(scene, fragments, total, number, seed):
+def _places(scene, fragments, total, number, seed):
     """Places, radii and sides of darts, each from its number alone."""
-    # two hashes: there may be more fragments than the bits of one float32 tell apart
-    fine = hash_uint32(number, 0, seed).astype(np.float64) * 2.0**-32 + hash_uint32(number, 1, seed) * 2.0**-64
-    side = np.searchsorted(total, fine * total[-1], side="right")
     # rounding must not go past the last side that has points
-    side = np.minimum(side, np.searchsorted(total, total[-1]))
-    inside = inside_triangle(hash_uniform(number, 2, seed), hash_uniform(number, 3, seed))
-    radius = fragments.radius[side]
-    weights = np.einsum("nk,nkc->nc", inside, fragments.weights[side // 2])
-    back = side % 2 == 1
-    return sample_triangles(scene, fragments.parent[side // 2], weights).on_side(scene, back), radius, back
+    last = np.searchsorted(total, total[-1])
+
+    def part(s):
+        # two hashes: there may be more fragments than the bits of one float32 tell apart
+        own = number[s]
+        fine = hash_uint32(own, 0, seed).astype(np.float64) * 2.0**-32 + hash_uint32(own, 1, seed) * 2.0**-64
+        side = np.minimum(np.searchsorted(total, fine * total[-1], side="right"), last)
+        inside = inside_triangle(hash_uniform(own, 2, seed), hash_uniform(own, 3, seed))
+        weights = np.einsum("nk,nkc->nc", inside, fragments.weights[side // 2])
+        back = side % 2 == 1
+        samples = sample_triangles(scene, fragments.parent[side // 2], weights).on_side(scene, back)
+        return samples, fragments.radius[side], back
+
+    samples, radius, back = zip(*in_chunks(part, len(number)), strict=True)
+    return samples[0].join(*samples[1:]), np.concatenate(radius), np.concatenate(back)
 
 
 def conflicting(

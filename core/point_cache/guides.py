@@ -58,14 +58,20 @@ def surroundings(
     return ao, harmonic
 
 
-def openness(samples: SurfaceSamples, bvh: Bvh, reach: float, rays: int, offset: float, seed: int = 0) -> np.ndarray:
+def openness(
+    samples: SurfaceSamples, bvh: Bvh, reach: float, rays: int, offset: float, seed: int = 0,
+    number: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
     """(n,) float32: the openness of `surroundings` alone, in half the time: each ray asks only whether anything is
-    nearer than its own part of the reach, and the parts are spread evenly."""
+    nearer than its own part of the reach, and the parts are spread evenly.
+
+    number: (n,) int, of each sample: then its value depends on that alone, whatever it is asked together with.
+    """
     result = np.empty(len(samples), np.float32)
     length = np.float32(reach) * ((np.arange(rays) * LENGTHS + 0.5 / rays) % 1).astype(np.float32)
 
     def part(s):
-        origins, directions = _looks(samples, s, rays, offset, seed)
+        origins, directions = _looks(samples, s, rays, offset, seed, number)
         blocked = np.zeros(len(origins), np.float32)
         for direction, far in zip(directions, length, strict=True):
             blocked += bvh.occluded(origins, direction * far)
@@ -75,11 +81,12 @@ def openness(samples: SurfaceSamples, bvh: Bvh, reach: float, rays: int, offset:
     return result
 
 
-def _looks(samples, s, rays, offset, seed):
+def _looks(samples, s, rays, offset, seed, number=None):
     """Origins (m, 3) float32 of the cosine rays of samples `s`, and their directions, (m, 3) for each ray in turn."""
-    axes = turns(samples.normal[s], s, seed).reshape(3, -1)
+    axes = turns(samples.normal[s], s if number is None else number[s], seed).reshape(3, -1)
     origins = np.ascontiguousarray(samples.position[s] + samples.flat[s] * np.float32(offset))
-    pattern = cosine_hemisphere(hammersley_points(rays, seed + s.start)).astype(np.float32)
+    salt = seed + s.start if number is None else seed
+    pattern = cosine_hemisphere(hammersley_points(rays, salt)).astype(np.float32)
     return origins, (product3(row[None], axes).reshape(-1, 3) for row in pattern)
 
 

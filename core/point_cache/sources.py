@@ -78,34 +78,47 @@ class Sources:
         self.grid = LevelGrid(low).fill(self.air, reach)
 
     def see(self, position: np.ndarray, flat: np.ndarray) -> np.ndarray:
-        """(n,) bool: whether one of the LOOKS nearest sources sees the place (n, 3) from the side of `flat` (n, 3)."""
+        """(n,) bool: whether a source of its own cell or one of the LOOKS nearest sees the place (n, 3) from the side
+        of `flat` (n, 3)."""
 
         def part(s):
-            # most are seen from their own cell
-            seen = self._see(position[s], flat[s], True)
+            here, side = position[s], flat[s]
+            seen = np.zeros(len(here), bool)
+            # most are seen by the first of their own cell that lies ahead, whichever that is
+            query, source, _ = self._ahead(here, side, True)
+            first = np.flatnonzero(np.diff(query, prepend=-1))
+            seen[query[first]] = self._clear(here, side, query[first], source[first])
             rest = np.flatnonzero(~seen)
-            seen[rest] = self._see(position[s][rest], flat[s][rest], False)
+            seen[rest] = self._nearest_see(here[rest], side[rest])
             return seen
 
         parts = in_threads(part, chunks(len(position), 8192))
         return np.concatenate(parts) if parts else np.zeros(0, bool)
 
-    def _see(self, position, flat, own):
+    def _ahead(self, position, flat, own):
+        """Pairs of a place and a source near it on its side, and the square of their distance, m²."""
         query, source = self.grid.pairs(position, np.full(len(position), self.size, np.float32), own)
         apart = self.air.take(source, axis=0) - position.take(query, axis=0)
         distance2 = np.einsum("nd,nd->n", apart, apart)
         # clearly in front: rounding can put a source in the plane of the wall that it stands beside
         ahead = np.einsum("nd,nd->n", apart, flat.take(query, axis=0)) > self.offset
-        keep = (distance2 < (1.5 * self.size) ** 2) & ahead
-        query, source, distance2 = query[keep], source[keep], distance2[keep]
+        keep = np.flatnonzero((distance2 < (1.5 * self.size) ** 2) & ahead)
+        return query[keep], source[keep], distance2[keep]
+
+    def _clear(self, position, flat, query, source):
+        """(m,) bool: whether nothing stands between place `query` and its source."""
+        lifted = position[query] + flat[query] * self.offset
+        toward = self.air[source] - lifted
+        return ~self.bvh.occluded(np.ascontiguousarray(lifted), np.ascontiguousarray(toward))
+
+    def _nearest_see(self, position, flat):
+        query, source, distance2 = self._ahead(position, flat, False)
         order, first = nearest_first(query, distance2, len(position))
         count = np.diff(first)
         seen = np.zeros(len(position), bool)
-        lifted = position + flat * self.offset
         for look in range(LOOKS):
             rows = np.flatnonzero(~seen & (count > look))
             if not len(rows):
                 break
-            toward = self.air[source[order[first[rows] + look]]] - lifted[rows]
-            seen[rows] = ~self.bvh.occluded(np.ascontiguousarray(lifted[rows]), np.ascontiguousarray(toward))
+            seen[rows] = self._clear(position, flat, rows, source[order[first[rows] + look]])
         return seen

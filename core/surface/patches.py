@@ -105,7 +105,7 @@ def make_patches(scene: Scene, count: int, seed: int = 0) -> Patches:
     rows = np.flatnonzero(reflects).astype(np.int32)
     corners = scene.positions[scene.triangles[rows]]
     # float64: areas of millimetre scenes
-    area = 0.5 * np.linalg.norm(scene.triangle_cross()[rows].astype(np.float64), axis=1).sum()
+    area = 0.5 * np.linalg.norm(scene.triangle_cross(rows).astype(np.float64), axis=1).sum()
     size = float(np.sqrt(area / max(count, 1)))
     low, high, best = 0.0, np.inf, None
     island = _islands(scene, rows, size)
@@ -129,7 +129,7 @@ def _group(scene, rows, pieces, size, seed, island):
     shift = hash_uniform(np.arange(3), 9, seed).astype(np.float32)
     # the grid is shifted, or a wall at a round coordinate would lie on a cell's border
     cell = np.floor((centre - centre.min(axis=0)) / np.float32(size) + shift).astype(np.int64)
-    cross = scene.triangle_cross()[rows][parent]
+    cross = scene.triangle_cross(rows)[parent]
     normal = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30)
     bins = ((np.rint(normal) + 1) @ np.array([1, 3, 9])).astype(np.int64)
     span = cell.max(axis=0) + 1
@@ -159,7 +159,7 @@ def _islands(scene, rows, size):
             break
     _, island = np.unique(label[triangles[:, 0]], return_inverse=True)
     island = island.reshape(-1)
-    area = np.bincount(island, 0.5 * np.linalg.norm(scene.triangle_cross()[rows].astype(np.float64), axis=1))
+    area = np.bincount(island, 0.5 * np.linalg.norm(scene.triangle_cross(rows).astype(np.float64), axis=1))
     large = area > ROOM * size * size
     number = np.where(large, np.cumsum(large), 0)
     return number[island]

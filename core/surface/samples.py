@@ -34,10 +34,10 @@ class SurfaceSamples:
             self.position[rows], self.normal[rows], self.flat[rows], self.triangle[rows], self.weights[rows]
         )
 
-    def join(self, more: SurfaceSamples) -> SurfaceSamples:
+    def join(self, *more: SurfaceSamples) -> SurfaceSamples:
         """These samples, then `more`."""
         names = self.__dataclass_fields__
-        return SurfaceSamples(*(np.concatenate([getattr(self, n), getattr(more, n)]) for n in names))
+        return SurfaceSamples(*(np.concatenate([getattr(s, n) for s in (self, *more)]) for n in names))
 
     def flipped(self, back: np.ndarray) -> SurfaceSamples:
         """The same places, seen from the other side where `back` (n,) bool is set."""
@@ -53,7 +53,7 @@ class SurfaceSamples:
 
     def behind(self, scene: Scene) -> np.ndarray:
         """(n,) bool: which lie on the reverse of what their triangles' winding names."""
-        return np.einsum("nd,nd->n", scene.triangle_cross()[self.triangle], self.flat) < 0
+        return np.einsum("nd,nd->n", scene.triangle_cross(self.triangle), self.flat) < 0
 
 
 def no_samples() -> SurfaceSamples:

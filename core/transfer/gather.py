@@ -171,11 +171,12 @@ class Gatherer:
         return triangle
 
 
-def turns(normal: np.ndarray, piece: slice, seed: int) -> np.ndarray:
+def turns(normal: np.ndarray, number: slice | np.ndarray, seed: int) -> np.ndarray:
     """(3, n, 3) float32: frames about normals (n, 3), each turned by its own angle, so that pattern @ frame are
-    directions. piece: the points' numbers, from which the angles come."""
+    directions. number: the points' numbers, from which the angles come."""
     tangent, bitangent = frame(normal)
-    angle = (2 * np.pi * hash_uniform(np.arange(piece.start, piece.stop), 5, seed)).astype(np.float32)[:, None]
+    number = np.arange(number.start, number.stop) if isinstance(number, slice) else number
+    angle = (2 * np.pi * hash_uniform(number, 5, seed)).astype(np.float32)[:, None]
     cos, sin = np.cos(angle), np.sin(angle)
     return np.stack([tangent * cos + bitangent * sin, bitangent * cos - tangent * sin, normal])
 

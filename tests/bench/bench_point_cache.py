@@ -16,7 +16,7 @@ from lightpanes.core.bake.stored import bake_points
 from lightpanes.core.lights import irradiance
 from lightpanes.core.panes import Relighter
 from lightpanes.core.panes.regions import region_of
-from lightpanes.core.point_cache import Interpolator, PointSet, make_points, serve, survey
+from lightpanes.core.point_cache import Interpolator, PointSet, make_points, make_points_by_darts, serve, survey
 from lightpanes.core.point_cache import guides as steer
 from lightpanes.core.point_cache.darts import FLAT, LIKE
 from lightpanes.core.point_cache.grid import DiscGrid, LevelGrid, in_chunks
@@ -40,6 +40,7 @@ def rows() -> Iterator[dict]:
     yield from query_rows()
     yield from shadow_rows()
     yield from error_rows()
+    yield from by_dart_rows()
     yield from guide_rows()
     for name in TEXELS:
         yield from exit_rows(name)
@@ -216,6 +217,25 @@ def error_rows() -> Iterator[dict]:
         charts[name] = found
         yield from _error_rows(name, counts, found)
     point_charts.draw_errors(charts)
+
+
+def by_dart_rows() -> Iterator[dict]:
+    """Ambient occlusion looked up at each dart, as in the paper, against that of a coarse set."""
+    for name, count in (("pillars", 4000), ("atrium", 20_000)):
+        setup = point_errors.open_setup(name, count)
+        ground = setup.ground
+        ways = {
+            "coarse set": lambda g=ground, n=count: make_points(g, steer.by_occlusion(g.ao), n),
+            "each dart": lambda g=ground, n=count: make_points_by_darts(g, n),
+        }
+        times = dict(zip(ways, harness.interleaved(*ways.values()), strict=True))
+        errors = {way: point_errors.measure_points(setup, make(), ("ward + gradients",)) for way, make in ways.items()}
+        detail = ", ".join(
+            f"{way} {times[way]:.2f} s, {points} points, error {found['ward + gradients'][0]:.3f}"
+            for way, (points, found) in errors.items()
+        )
+        label = f"ambient occlusion of each dart over that of a coarse set, {name}: time"
+        yield harness.row(label, times["each dart"] / times["coarse set"], detail=detail)
 
 
 def _error_rows(name, counts, found):

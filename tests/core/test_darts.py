@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from lightpanes.core import rays
-from lightpanes.core.point_cache import PointSet, guides, make_points, survey
+from lightpanes.core.point_cache import PointSet, guides, make_points, make_points_by_darts, survey
 from lightpanes.core.point_cache.build import COARSE, Ground
 from lightpanes.core.point_cache.darts import FLAT, LIKE, PACKING, WINDOW, Darts, Fragments, throw
 from lightpanes.core.rays import Bvh, Tracer
@@ -134,6 +134,41 @@ def test_the_set_is_what_throwing_one_by_one_gives(batch):
     assert len(thrown[0]) > 5 * len(rows) > 500
     assert np.array_equal(darts.number, rows)
     assert np.array_equal(darts.samples.position, thrown[0].position[rows])
+
+
+@pytest.mark.parametrize("batch", [300, 65_536])
+def test_darts_that_look_around_themselves(batch):
+    """Bikker & Reijerse's own rule: a dart's radius comes from what it sees, and is not asked for where it cannot
+    matter."""
+    made = scene((*globe(rings=5, inward=False), 0), (*box((-0.5, -0.5, 1), (0.5, 0.5, 1.3)), 0))
+    table = np.random.default_rng(1).uniform(0.2, 0.28, len(made.triangles)).astype(np.float32)
+    fragments = pieces(made, lambda middle: 0.2 + 0 * middle[:, 0], back=True)
+    thrown, asked = [], []
+
+    def measure(samples, number):
+        asked.append(len(number))
+        return table[samples.triangle]
+
+    throw(made, fragments, lambda samples: thrown.append(samples) or everywhere(samples), seed=4)
+    asked.clear()
+    darts = throw(made, fragments, everywhere, seed=4, batch=batch, least=0.2, measure=measure)
+    rows = one_by_one(thrown[0], table[thrown[0].triangle])
+    assert np.array_equal(darts.number, rows) and len(rows) > 300
+    assert np.array_equal(darts.radius, table[darts.samples.triangle])
+    if batch == 300:
+        assert sum(asked) < 0.5 * len(thrown[0])
+
+
+def test_ambient_occlusion_of_each_dart():
+    ground = room_ground()
+    points = make_points_by_darts(ground, 1500, seed=3)
+    assert len(points) == pytest.approx(1500, rel=0.2)
+    assert crowded(points) == 0
+    # its own ambient occlusion, between a least radius and a most twelve times as large
+    most = points.radius.max() / guides.by_occlusion(points.ao).max()
+    assert np.allclose(points.radius, most * guides.by_occlusion(points.ao), rtol=1e-5)
+    again = make_points_by_darts(ground, 1500, seed=3, batch=5000)
+    assert np.array_equal(points.position, again.position) and np.array_equal(points.ao, again.ao)
 
 
 @pytest.mark.parametrize(("batch", "threads"), [(997, 1), (20_000, 2), (65_536, 5)])
