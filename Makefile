@@ -1,4 +1,4 @@
-# make demo | test | lint | bench [ONLY=…] | samples | clean      PYTHON=… picks the interpreter (3.11 or 3.13)
+# make demo | test | sequences | gui | lint | bench [ONLY=…] | samples | package | clean      PYTHON=… picks the interpreter (3.11 or 3.13)
 PYTHON ?= $(shell for p in python3.13 python3.11 python3; do \
 	$$p -c 'import sys; sys.exit(sys.version_info[:2] not in ((3, 11), (3, 13)))' 2>/dev/null && echo $$p && break; done)
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d%d" % sys.version_info[:2])' 2>/dev/null)
@@ -7,7 +7,7 @@ RUN := $(VENV)/bin/python
 LOCK := requirements/py$(VERSION).lock
 ONLY ?=
 
-.PHONY: demo test lint bench samples chart clean venv
+.PHONY: demo test sequences gui lint bench samples chart package clean venv
 
 demo: venv
 	$(RUN) sample_blends/demo.py
@@ -15,6 +15,12 @@ demo: venv
 test: lint
 	$(RUN) -m pytest tests/core -q
 	$(RUN) -m pytest tests/addon -q
+
+gui: venv
+	$(RUN) -m pytest tests/gui -q -rs
+
+sequences: venv
+	LIGHTPANES_SEQUENCES=200 $(RUN) -m pytest tests/addon/test_sequences.py -q
 
 lint: venv
 	$(VENV)/bin/ruff check .
@@ -28,6 +34,9 @@ chart: venv
 
 samples: venv
 	$(RUN) sample_blends/build.py
+
+package: venv
+	$(RUN) -m package
 
 venv: $(VENV)/.ready
 

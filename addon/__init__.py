@@ -4,9 +4,27 @@ from __future__ import annotations
 
 import atexit
 
-from . import commands, operators, overlay, panel, properties, relight
+from . import (
+    animation,
+    commands,
+    fixes,
+    job,
+    operators,
+    overlay,
+    panel,
+    preferences,
+    preflight,
+    properties,
+    refresh,
+    relight,
+    saving,
+    translations,
+)
 
-MODULES = (properties, operators, panel, relight, overlay, commands)
+MODULES = (
+    preferences, properties, operators, job, animation, fixes, saving, preflight, panel, translations, relight, refresh,
+    overlay, commands,
+)  # fmt: skip
 
 _registered = False
 

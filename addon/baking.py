@@ -1,18 +1,27 @@
-"""One bake from start to end, the same for the button and the command line."""
+"""One bake from start to end, the same for the button and the command line.
+
+`bake_steps` reads the scene object by object on the main thread, hands arrays to core as `Work`, and writes the result
+back. While core works the scene is as it was before, so that whatever ends the bake then has nothing to undo.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from contextlib import contextmanager
+from collections.abc import Callable, Generator
 
 import bpy
 
-from ..core.bake import Progress, Settings, bake
+from ..core.bake import Kept, Progress, Settings, bake
 from ..core.panes import Relighter
 from ..core.rays import Tracer
 from ..core.scene import SceneError
-from . import atlas, extract, nodes, points, relight, store, vertices, visibility
+from . import atlas, extract, nodes, points, relight, store, twice, vertices
+from .preflight import check as preflight
+from .snapshot import Snapshot
+from .work import Work, mapped, run
+
+# Parts of the whole at which reading the scene, and core's work, end.
+ATLAS, READ, BAKED = 0.03, 0.05, 0.97
 
 
 def bake_scene(context: bpy.types.Context, progress: Callable[[Progress], None] | None = None) -> dict:
@@ -21,9 +30,17 @@ def bake_scene(context: bpy.types.Context, progress: Callable[[Progress], None] 
     Raises SceneError with a sentence for the user when it can't be baked. Whatever stops it, an exception raised by
     `progress` included, leaves the scene's previous bake as it was.
     """
+    return run(bake_steps(context), progress)
+
+
+def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generator[Progress | Work, object, dict]:
+    """The same, as a generator of its Progress and of the Work in it (see `work`).
+
+    kept: what cancelled bakes had finished. Whoever drives it sees to it that the context's scene is the same at each
+    step.
+    """
     scene = context.scene
     start = time.perf_counter()
-    progress = progress or (lambda _: None)
     warnings = preflight(context)
     asked = scene.lightpanes
     settings = Settings(
@@ -33,33 +50,66 @@ def bake_scene(context: bpy.types.Context, progress: Callable[[Progress], None] 
         seed=asked.seed,
         exits=asked.exits.lower(),
     )
-    progress(Progress("Atlas", 0.0, 0))
+    yield Progress("Atlas", 0.0, 0)
     objects = [item for item in scene.objects if item.type == "MESH" and store.TAG not in item]
+    before = Snapshot(scene, objects)
     loops: dict = {}
-    with relight.paused(), _atlas_kept_on_failure(context, objects):
-        at_vertices, told = vertices.choose(context, objects)
+    try:
+        with relight.paused():
+            at_vertices, told = vertices.choose(context, objects)
         warnings += told
-        warnings += atlas.make_atlas(context, objects, settings.resolution, at_vertices)
-        progress(Progress("Reading the scene", 0.02, 0))
-        surfaces = extract.extract(context, resolution=settings.resolution, loops=loops)
-        result = bake(surfaces, settings, lambda p: progress(Progress(p.stage, 0.05 + 0.93 * p.fraction, p.rays)))
-        report = result.meta.setdefault("report", {})
-        report["warnings"] = warnings + [w for w in report.get("warnings", []) if w not in warnings]
-        result.meta["static"] = {lamp.name: relight.lamp_key([lamp]) for lamp in surfaces.lights if not lamp.live}
-        points.remember(result, surfaces)
-        store.store_bake(scene, result, surfaces.albedo_map)
+        making = atlas.atlas_steps(context, objects, settings.resolution, at_vertices)
+        warnings += yield from mapped(making, lambda part: Progress("Atlas", ATLAS * part, 0))
+        yield Progress("Reading the scene", ATLAS, 0)
+        with relight.paused():
+            surfaces = extract.extract(context, resolution=settings.resolution, loops=loops)
+        found = extract.fingerprint(context)
+        planned = Snapshot(scene, objects)
+    finally:
+        # what is there shows by the old atlas until the new bake is
+        before.restore()
+
+    def work(progress):
+        def told(now):
+            progress(Progress(now.stage, READ + (BAKED - READ) * now.fraction, now.rays, now.error, now.seconds_left))
+
+        result = bake(surfaces, settings, told, kept)
+        return result, Relighter(result.panes(), Tracer(surfaces))
+
+    del scene, asked, objects, at_vertices
+    result, relighter = yield Work(work, alone=True)
+    scene = context.scene
+    yield Progress("Storing", BAKED, result.meta["report"]["rays"])
+    edited = planned.edited()
+    if edited:
+        raise SceneError(f"Mesh '{edited[0]}' was edited while the bake ran: bake again.")
+    now = extract.fingerprint(context)
+    report = result.meta["report"]
+    report["warnings"] = warnings + [w for w in report.get("warnings", []) if w not in warnings]
+    result.meta["static"] = {lamp.name: relight.lamp_key([lamp]) for lamp in surfaces.lights if not lamp.live}
+    points.remember(result, surfaces)
+    # again: undo may have brought back an older one
+    before = Snapshot(scene, [item for item in scene.objects if item.type == "MESH" and store.TAG not in item])
+    try:
+        with relight.paused():
+            planned.restore()
+            store.store_bake(scene, result, surfaces.albedo_map)
+    except BaseException:
+        before.restore()
+        raise
     with relight.paused():
         vertices.keep(context, surfaces, loops)
-        relight.adopt(scene, Relighter(result.panes(), Tracer(surfaces)))
+        relight.adopt(scene, relighter)
         report["warnings"] += nodes.attach(context, surfaces)
-        # after attaching, which may give materials to objects that have none
-        result.meta["fingerprint"] = extract.fingerprint(context)
+        # after attaching, which may give materials to objects that have none; but what changed meanwhile is stale
+        late = {name: found.get(name, "") for name in extract.changed_objects(found, now) if name in found}
+        result.meta["fingerprint"] = extract.fingerprint(context) | late
         store.write_meta(scene, result.meta)
     report["relight_ms"] = round(relight.relight(context), 2)
     report["total_seconds"] = round(time.perf_counter() - start, 3)
     relight.pack()
     store.write_meta(scene, result.meta)
-    progress(Progress("Done", 1.0, report.get("rays", 0)))
+    yield Progress("Done", 1.0, report["rays"])
     return report
 
 
@@ -67,44 +117,11 @@ def clear_scene(context: bpy.types.Context) -> bool:
     """Take everything of ours out of the context's scene; True when there was a bake."""
     scene = context.scene
     nodes.detach(scene)
+    twice.give_back(scene)
     relight.forget(scene)
     found = store.clear(scene)
     _clear_atlas(scene)
     return found
-
-
-def preflight(context: bpy.types.Context) -> list[str]:
-    """Warnings; raises SceneError when there is nothing to bake."""
-    scene = context.scene
-    surfaces = [item for item in scene.objects if item.type in extract.GEOMETRY and store.TAG not in item]
-    instancers = [item for item in scene.objects if item.instance_collection is not None]
-    if not surfaces and not instancers:
-        raise SceneError(f"There is nothing to bake: scene '{scene.name}' has no mesh. Add one.")
-    rendered = visibility.rendered_objects(context.view_layer)
-    shown = [item for item in surfaces if item in rendered]
-    if not shown and not rendered.intersection(instancers):
-        raise SceneError(
-            f"There is nothing to bake: every mesh in scene '{scene.name}' is hidden from renders. "
-            "Turn on its camera icon in the Outliner, or that of its collection."
-        )
-    if shown and all(item.lightpanes.exclude for item in shown):
-        raise SceneError(f"There is nothing to bake: every mesh in scene '{scene.name}' is excluded from Lightpanes.")
-    if shown and all(item.type == "MESH" and not item.data.polygons for item in shown):
-        raise SceneError(f"There is nothing to bake: '{shown[0].name}' has no faces. Add some.")
-    if not any(item.type == "LIGHT" for item in rendered) and not instancers:
-        return [f"Scene '{scene.name}' has no visible lamp; the light follows as soon as you add or show one."]
-    return []
-
-
-@contextmanager
-def _atlas_kept_on_failure(context, objects):
-    """The previous bake's images are read through the UV layer and the objects' places: both stay with it."""
-    restore = atlas.remember(context, objects)
-    try:
-        yield
-    except BaseException:
-        restore()
-        raise
 
 
 def _clear_atlas(scene):

@@ -20,8 +20,9 @@ import bpy
 
 from ..core.bake import BakeError
 from ..core.planner import EXITS
+from ..core.rays import EngineError
 from ..core.scene import SceneError
-from . import baking, colours, operators, relight, store
+from . import baking, colours, operators, relight, sequence, store
 from .colours import KINDS
 
 OK, BAD_INPUT, INTERRUPTED = 0, 2, 130
@@ -47,7 +48,7 @@ def main(arguments: list[str], *, opened: bool = False) -> int:
     try:
         options = _parser(opened).parse_args(_spelled_out(arguments))
         return options.run(options)
-    except (UserError, SceneError, BakeError) as error:
+    except (UserError, SceneError, BakeError, EngineError) as error:
         print(f"lightpanes: {error}", file=sys.stderr)
         return BAD_INPUT
     except SystemExit as leaving:  # --help
@@ -78,7 +79,15 @@ def _parser(opened: bool) -> argparse.ArgumentParser:
     bake.add_argument("--exits", choices=EXITS, help="where light is gathered (auto: points where that is less work)")
     bake.add_argument("--seed", type=_number(0, 2**31 - 1, int), metavar="N", help="seed of all random numbers (0)")
     again = command("relight", _relight, "Relight a baked scene by its lamps as they are; goes to FILE_relit.blend.")
-    again.add_argument("--frame", type=_number(-1048574, 1048574, int), metavar="N", help="frame to relight for")
+    again.add_argument("--frame", type=_frame, metavar="N", help="frame to relight for")
+    frames = command(
+        "animate",
+        _animate,
+        f"Write the baked light of each frame as images to DIR ({sequence.FOLDER} beside the file).",
+    )
+    for word in ("start", "end"):
+        frames.add_argument(f"--{word}", type=_frame, metavar="N", help=f"{word} frame (the scene's)")
+    frames.add_argument("--step", type=_number(1, 1e6, int), metavar="N", help="every Nth frame (the scene's)")
     graph = command("chart", _chart, "Chart error against time, beside Cycles and the paper's method (some minutes).")
     graph.add_argument(
         "--resolution", type=_number(32, 1024, int), default=256, metavar="N", help="atlas size in pixels (256)"
@@ -118,6 +127,10 @@ def _number(low, high, kind=float) -> Callable[[str], float]:
     return read
 
 
+# the frames that Blender has
+_frame = _number(-1048574, 1048574, int)
+
+
 def _bake(options) -> int:
     path = _open(options)
     target = _target(options, path, "_lightpanes")
@@ -154,6 +167,21 @@ def _relight(options) -> int:
     report = {**context_of(path), "relight_ms": round(milliseconds, 2), "stale": stale, "file": str(target)}
     _finish(options, path, target, report)
     _say(options, f"Relit in {milliseconds:.1f} ms. Wrote {target}")
+    return OK
+
+
+def _animate(options) -> int:
+    path = _open(options)
+    folder = _target(options, path, "").parent
+    if options.output is None:
+        folder /= sequence.FOLDER
+    frames = sequence.frames_of(bpy.context.scene, options.start, options.end, options.step)
+    with Bar() as bar:
+        manifest = sequence.write(bpy.context, folder, frames, bar)
+    for sentence in manifest["warnings"]:
+        _say(options, f"Warning: {sentence}")
+    _write_report(options, {**context_of(path), **manifest, "file": str(folder / sequence.MANIFEST)})
+    _say(options, f"Wrote {len(frames)} frames to {folder}")
     return OK
 
 

@@ -6,32 +6,11 @@ import bpy
 
 from ..core.bake import BakeError
 from ..core.scene import SceneError
-from . import baking, relight
+from . import animation, baking, engine, job, relight
+from .console import ConsoleProgress
 
-# Where the console progress stands: a line for each stage and each tenth.
-STEP = 0.1
-
-
-class ConsoleProgress:
-    """Progress as lines on the console and, in a window, as the cursor's number."""
-
-    def __init__(self, window_manager):
-        self.window_manager = window_manager
-        self.stage, self.tenth = "", -1
-
-    def __enter__(self):
-        self.window_manager.progress_begin(0, 100)
-        return self
-
-    def __exit__(self, *_):
-        self.window_manager.progress_end()
-
-    def __call__(self, progress) -> None:
-        self.window_manager.progress_update(100 * progress.fraction)
-        tenth = int(progress.fraction / STEP)
-        if progress.stage != self.stage or tenth != self.tenth:
-            self.stage, self.tenth = progress.stage, tenth
-            print(f"Lightpanes: {100 * progress.fraction:3.0f} %  {progress.stage}")
+# Seconds between two looks at a bake that runs.
+TICK = 0.05
 
 
 class LIGHTPANES_OT_bake(bpy.types.Operator):
@@ -42,21 +21,99 @@ class LIGHTPANES_OT_bake(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Leave edit mode first")
-            return False
-        return True
+        reason = engine.unusable()
+        if reason is None and context.mode != "OBJECT":
+            reason = "Leave edit mode first"
+        if reason is None and job.running():
+            reason = "A bake is running"
+        if reason is None and animation.running():
+            reason = "An animation is being written"
+        if reason is not None:
+            cls.poll_message_set(reason)
+        return reason is None
+
+    def invoke(self, context, _event):
+        if bpy.app.background or context.window is None:
+            return self.execute(context)
+        self.job = job.start(context)
+        self.shown = None
+        self.timer = context.window_manager.event_timer_add(TICK, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        if event.type == "ESC" and event.value == "PRESS":
+            self.job.cancel()
+        elif event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        try:
+            if not self.job.advance():
+                self._show(context)
+                return {"PASS_THROUGH"}
+        except BaseException:
+            self._leave(context)
+            raise
+        self._leave(context)
+        if self.job.report is None:
+            if self.job.error:
+                self.report({"ERROR"}, self.job.error)
+            else:
+                self.report({"INFO"}, "Cancelled; what was there before stays")
+            return {"CANCELLED"}
+        self._tell(self.job.report)
+        return {"FINISHED"}
+
+    def cancel(self, context):
+        """Blender ends the operator: the window or the file is closed."""
+        self.job.cancel()
+        self._leave(context)
 
     def execute(self, context):
+        if job.running():
+            self.report({"ERROR"}, "A bake is running; wait for it, or cancel it")
+            return {"CANCELLED"}
         try:
             with ConsoleProgress(context.window_manager) as progress:
                 report = baking.bake_scene(context, progress)
         except (SceneError, BakeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        self._tell(report)
+        return {"FINISHED"}
+
+    def _tell(self, report):
         for warning in report["warnings"]:
             self.report({"WARNING"}, warning)
         self.report({"INFO"}, summary(report))
+
+    def _show(self, context):
+        progress = self.job.progress
+        shown = progress.stage, round(100 * progress.fraction)
+        if shown == self.shown:
+            return
+        self.shown = shown
+        if context.workspace is not None:
+            context.workspace.status_text_set(f"Lightpanes: {shown[0]}  {shown[1]} %    Esc: Cancel")
+        relight.redraw_panel()
+
+    def _leave(self, context):
+        context.window_manager.event_timer_remove(self.timer)
+        if context.workspace is not None:
+            context.workspace.status_text_set(None)
+        relight.redraw_panel()
+
+
+class LIGHTPANES_OT_cancel(bpy.types.Operator):
+    bl_idname = "lightpanes.cancel"
+    bl_label = "Cancel"
+    bl_description = "Stop the bake that is running. What was there before stays, and baking again goes on from here"
+
+    @classmethod
+    def poll(cls, _context):
+        return job.running()
+
+    def execute(self, _context):
+        job.cancel()
         return {"FINISHED"}
 
 
@@ -87,7 +144,7 @@ class LIGHTPANES_OT_clear(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return context.mode == "OBJECT"
+        return context.mode == "OBJECT" and not job.running()
 
     def execute(self, context):
         if not baking.clear_scene(context):
@@ -105,7 +162,7 @@ def summary(report: dict) -> str:
     return ", ".join(parts)
 
 
-CLASSES = (LIGHTPANES_OT_bake, LIGHTPANES_OT_relight, LIGHTPANES_OT_clear)
+CLASSES = (LIGHTPANES_OT_bake, LIGHTPANES_OT_cancel, LIGHTPANES_OT_relight, LIGHTPANES_OT_clear)
 
 
 def register() -> None:

@@ -20,6 +20,13 @@ def _live_changed(settings, context):
         relight.update(context.scene, context.evaluated_depsgraph_get())
 
 
+def _plan_changed(_settings, _context):
+    from . import preflight
+
+    # Blender reports changes by the interface alone, not those by scripts
+    preflight.forget()
+
+
 def _show_points_changed(_settings, _context):
     from . import overlay
 
@@ -103,6 +110,7 @@ class ObjectSettings(bpy.types.PropertyGroup):
         name="Exclude",
         description="Keep this object out of the atlas: it gets no baked light, but still blocks and reflects it",
         default=False,
+        update=_plan_changed,
     )
     target: EnumProperty(
         name="Light In",
@@ -116,6 +124,7 @@ class ObjectSettings(bpy.types.PropertyGroup):
             ),
         ),
         default="TEXTURE",
+        update=_plan_changed,
     )
     weight: FloatProperty(
         name="Weight",
@@ -133,6 +142,7 @@ class LightSettings(bpy.types.PropertyGroup):
         description="Follow this lamp after the bake. Off: its light is baked in, which is faster and more exact, and "
         "changes with the next bake only",
         default=True,
+        update=_plan_changed,
     )
 
 

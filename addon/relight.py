@@ -20,7 +20,7 @@ from ..core.bake import BakeError
 from ..core.panes import Relighter
 from ..core.rays import Tracer
 from ..core.scene import Light, SceneError
-from . import extract, lamps, meshes, overlay, points, store, vertices, visibility
+from . import engine, extract, lamps, meshes, overlay, points, store, vertices, visibility
 
 
 @dataclass
@@ -29,6 +29,7 @@ class Session:
 
     key: str
     relighter: Relighter | None = None
+    edited: bool = False  # its shadows are those of surfaces that differ from what was baked
     shown: str = ""  # key of the lamps that the image shows
     last: dict[str, Light] = field(default_factory=dict)  # the lamps that the image shows, by name
     static: dict[str, str] = field(default_factory=dict)  # keys of the lamps that are baked in, by name
@@ -93,6 +94,8 @@ def relight(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph | None = 
     All lamps are read anew, those that stopped being live after the bake included. Raises SceneError when there is no
     bake or when it can't be used.
     """
+    if reason := engine.unusable():
+        raise SceneError(reason)
     scene = context.scene
     with _lock:
         current = session(scene)
@@ -117,7 +120,7 @@ def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
             return False
         lights = _read_lights(depsgraph, current)
         key = lamp_key(lights)
-        if key == current.shown:
+        if key == current.shown or not engine.ready():
             return False
         try:
             _apply(bpy.context, scene, current, lights)
@@ -140,9 +143,17 @@ def check_stale(context: bpy.types.Context) -> tuple[str, ...]:
         return ()
     shining = lamps.read_lights(context.evaluated_depsgraph_get(), [])
     now = extract.fingerprint(context)
+    if not extract.changed_objects(meta["fingerprint"], now):
+        _read_again(current)
     current.stale = differences(meta["fingerprint"], now) + _follow(context, current, meta, now)
     current.stale += _lamp_changes(current, shining)
     return current.stale
+
+
+def _read_again(current: Session) -> None:
+    """Where the surfaces are as they were baked again, shadows of what they were meanwhile must go."""
+    if current.edited:
+        current.relighter, current.edited, current.shown = None, False, ""
 
 
 def _follow(context, current: Session, meta: dict, now: dict[str, str]) -> tuple[str, ...]:
@@ -248,6 +259,7 @@ def _relighter(context, scene, current: Session) -> Relighter:
             raise SceneError("All meshes of the bake are deleted or hidden; bring them back, or press Clear.")
         bake = store.load_bake(scene)
         geometry = extract.extract(context, resolution=bake.resolution, albedo=False)
+        current.edited = bool(extract.changed_objects(bake.meta.get("fingerprint", {}), extract.fingerprint(context)))
         current.relighter = Relighter(bake.panes(), Tracer(geometry))
     return current.relighter
 
@@ -289,21 +301,23 @@ def _update_later():
         return  # the render's own frame changes relight
     depsgraph = bpy.context.evaluated_depsgraph_get()
     update(depsgraph.scene.original, depsgraph)
-    _redraw_panel()
+    redraw_panel()
+    overlay.redraw()
 
 
 def _stale_later():
     if not bpy.app.is_job_running("RENDER"):
         check_stale(bpy.context)
-        _redraw_panel()
+        redraw_panel()
+        overlay.redraw()
 
 
-def _redraw_panel():
+def redraw_panel() -> None:
+    """Draw all Properties editors anew."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "PROPERTIES":
                 area.tag_redraw()
-    overlay.redraw()
 
 
 @persistent
@@ -322,7 +336,7 @@ def _on_render(scene, *_):
             return
         try:
             lights = _read_lights(bpy.context.evaluated_depsgraph_get(), current, rendering=True)
-            if lamp_key(lights) != current.shown:
+            if lamp_key(lights) != current.shown and engine.ready():
                 _apply(bpy.context, scene, current, lights)
         except (SceneError, BakeError) as error:
             current.error = str(error)
@@ -340,6 +354,7 @@ def _on_undo(scene, *_):
     """Undo brings back an image's packed pixels or keeps its last ones: neither need be what the lamps now ask for."""
     for current in _sessions.values():
         current.shown = current.followed = ""
+        _read_again(current)
         current.error = ""
     update(scene, bpy.context.evaluated_depsgraph_get())
 

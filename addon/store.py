@@ -16,6 +16,7 @@ import numpy as np
 
 from ..core.bake import Bake
 from ..core.scene import SceneError
+from . import refresh
 
 COLLECTION = "Lightpanes"
 ENTRIES = "Lightpanes Entries"
@@ -155,12 +156,15 @@ def write_irradiance(scene: bpy.types.Scene, pixels: np.ndarray) -> None:
     if image is None:
         raise SceneError(f"The image '{IRRADIANCE}' has been deleted; bake again.")
     height, width = pixels.shape[:2]
+    cycles = scene.render.engine == "CYCLES"
+    if cycles:
+        refresh.renew(image)
     if tuple(image.size) != (width, height):
         image.scale(width, height)
     image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).reshape(-1))
     image.update()
     # Cycles keeps its copy of an image until told; EEVEE needs no telling, and a tag costs an update.
-    if scene.render.engine == "CYCLES":
+    if cycles:
         image.update_tag()
 
 

@@ -73,7 +73,11 @@ def keep(context: bpy.types.Context, surfaces: Scene, loops: dict[str, np.ndarra
     owner = surfaces.triangle_object[found.triangle]
     for index, part in enumerate(surfaces.objects):
         if part.at_vertices:
-            mesh = scene.objects[part.name].data
+            item = scene.objects.get(part.name)
+            # deleted, or turned into something else, while the bake ran
+            if item is None or item.type != "MESH":
+                continue
+            mesh = item.data
             _make_attributes(mesh, loops[part.name], found.corner[owner == index])
             # from a bake that gave it a place in the atlas
             if not any(item.data == mesh and "lightpanes_scale" in item for item in bpy.data.objects):

@@ -1,7 +1,7 @@
 """Rays through Embree: closest hits, occlusion, straight-through surfaces; threads and chunks.
 
-The only file that imports embreex. Embree releases the GIL, so chunks run on threads; the order
-of results, and with it every bake, does not depend on how many there are.
+The only file that imports embreex; it loads without one, and raises once rays are asked for. Embree releases the
+GIL, so chunks run on threads; the order of results, and with it every bake, does not depend on how many there are.
 """
 
 from __future__ import annotations
@@ -13,10 +13,17 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 
 from .scene import Scene
+
+UNUSABLE = ""
+"""Why embreex does not load here, in its own words; empty where it does."""
+
+try:
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+except Exception as error:  # a build for another numpy or another system raises more than ImportError
+    UNUSABLE = f"{type(error).__name__}: {error}"
 
 CHUNK = 8192
 """Rays a call: small enough for the second-level cache, large enough to hide Python."""
@@ -25,10 +32,22 @@ LAYERS = 24
 """See-through surfaces a ray may pass before it counts as blocked."""
 
 
+MOST_THREADS = 16
+"""More win nothing: the rest of a bake is bound by memory."""
+
+_asked = 0
+
+
+def use_threads(count: int) -> None:
+    """Let bakes and relights that begin from now on use so many threads, 0 for all cores (at most MOST_THREADS)."""
+    global _asked
+    _asked = count
+
+
 def thread_count() -> int:
-    """Threads that a bake uses: the cores this process may run on, at most 16."""
+    """Threads that a bake uses: those asked for, or the cores this process may run on, at most MOST_THREADS."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(16, cores))
+    return max(1, min(MOST_THREADS, _asked or cores))
 
 
 def chunks(count: int, size: int = CHUNK) -> list[slice]:
@@ -37,13 +56,17 @@ def chunks(count: int, size: int = CHUNK) -> list[slice]:
 
 
 def in_threads(function: Callable, items: Iterable, threads: int | None = None) -> list:
-    """[function(item) for item in items], on threads, in order; the first exception is raised."""
+    """[function(item) for item in items], on threads, in order; an exception ends what has not begun, and is raised."""
     items = list(items)
     threads = min(threads or thread_count(), len(items))
     if threads <= 1:
         return [function(item) for item in items]
     with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(function, items))
+        try:
+            return list(pool.map(function, items))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
 
 
 def product3(left: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -59,6 +82,10 @@ def product3(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     return result
 
 
+class EngineError(RuntimeError):
+    """Rays can't be traced here; the message says why."""
+
+
 class Hits(NamedTuple):
     """triangle (n,) int32, −1 where nothing was hit; u, v (n,) float32 barycentric weights of the
     second and third corner; distance (n,) float32 in lengths of the direction vector."""
@@ -70,9 +97,11 @@ class Hits(NamedTuple):
 
 
 class Bvh:
-    """Embree's hierarchy over (T, 3, 3) float32 triangle corners, in metres."""
+    """Embree's hierarchy over (T, 3, 3) float32 triangle corners, in metres. Raises EngineError without embreex."""
 
     def __init__(self, corners: np.ndarray):
+        if UNUSABLE:
+            raise EngineError(f"Tracing rays needs embreex, which does not load here ({UNUSABLE}).")
         self.size = len(corners)
         self._scene = EmbreeScene()
         if self.size:

@@ -2,7 +2,8 @@
 
 from ..planner import Settings
 from .clock import Progress
+from .kept import Cancelled, Kept
 from .record import Bake, BakeError
 from .run import bake
 
-__all__ = ["Bake", "BakeError", "Progress", "Settings", "bake"]
+__all__ = ["Bake", "BakeError", "Cancelled", "Kept", "Progress", "Settings", "bake"]

@@ -9,11 +9,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Progress:
-    """stage: what is being done. fraction: of the whole bake, in [0, 1]. rays: traced so far."""
+    """stage: what is being done. fraction: of the whole bake, in [0, 1]. rays: traced so far. error: relative, as far as
+    it is known by now. seconds_left: s, about."""
 
     stage: str
     fraction: float
     rays: int
+    error: float | None = None
+    seconds_left: float | None = None
 
 
 class Clock:
@@ -38,6 +41,7 @@ class Clock:
         self.progress = progress
         self.seconds: dict[str, float] = {}
         self.rays = 0
+        self.error: float | None = None
         self.began = time.perf_counter()
         self._stage, self._stage_began = "", self.began
         self._done, self._total = 0, 1
@@ -53,6 +57,10 @@ class Clock:
         self._stage, self._stage_began = stage, time.perf_counter()
         self._done, self._total = 0, max(steps, 1)
         self.tick(0)
+
+    def skip(self, steps: int) -> None:
+        """Steps that an earlier bake did."""
+        self._done += steps
 
     def stop(self) -> None:
         """End the stage."""
@@ -70,4 +78,7 @@ class Clock:
         at = names.index(self._stage)
         low = self.STAGES[names[at - 1]] if at else 0.0
         part = min(self._done / self._total, 1.0)
-        self.progress(Progress(self._stage, low + (self.STAGES[self._stage] - low) * part, self.rays))
+        fraction = low + (self.STAGES[self._stage] - low) * part
+        # the first stages are too short to tell
+        left = self.spent * (1 - fraction) / fraction if fraction > self.STAGES["Surfaces"] else None
+        self.progress(Progress(self._stage, fraction, self.rays, self.error, left))

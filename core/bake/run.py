@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -12,25 +12,55 @@ from ..panes.exits import gather_panes, joined, smooth_panes
 from ..panes.regions import region_of
 from ..planner import Settings
 from ..point_cache import Weights
+from ..rays import CHUNK
 from ..scene import Scene
+from ..transfer import Begun
 from .check import compression_error, gather_noise, interpolation_error
 from .clock import Clock, Progress
+from .kept import Cancelled, Kept
 from .record import Bake, point_arrays
 from .steps import Prepared, in_time, prepare
 from .stored import Stored, bake_points, spread_to_texels
 
 
-def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Progress], None] | None = None) -> Bake:
+def bake(
+    scene: Scene,
+    settings: Settings | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    kept: Kept | None = None,
+) -> Bake:
     """Bake how `scene` passes light around.
 
-    progress is called every few thousand rays; an exception that it raises cancels the bake. Same scene and
-    settings, same bake, on any number of threads (a time budget excepted). Raises SceneError for scenes that
-    cannot be baked.
+    progress is called every few thousand rays; an exception that it raises cancels the bake. kept: takes what is
+    finished when that is a `Cancelled`; given to the next bake of the same scene with the same settings, the bake goes
+    on from there. Same scene and settings, same bake, on any number of threads and in any number of goes (a time budget
+    excepted, under which nothing is kept). Raises SceneError for scenes that cannot be baked.
     """
     settings = settings or Settings()
-    clock = Clock(progress)
-    made = prepare(scene, settings, clock)
+    kept = Kept() if kept is None or settings.time_budget else kept
+    kept.open(scene, settings)
+    try:
+        result = _bake(scene, settings, Clock(progress), kept)
+    except Cancelled:
+        raise
+    except BaseException:
+        # it may have ended in the middle of a chunk
+        kept.clear()
+        raise
+    kept.clear()
+    return result
+
+
+def _bake(scene, settings, clock, kept):
+    # a copy: what follows changes it
+    made = replace(kept.part("prepared", lambda: prepare(scene, settings, clock, kept)))
     seed = settings.seed
+    parts = {}
+    if made.test_direct is not None:
+        parts["panes"] = clock.error = made.kept.part(
+            "panes error",
+            lambda: compression_error(made.entries, made.transport, made.modes, made.weights, made.test_direct),
+        )
     at_points = made.starts is None and settings.exits != "atlas"
     if at_points:
         stored = bake_points(made, settings, clock)
@@ -45,9 +75,6 @@ def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Pro
         panes, first_hit = _at_texels(made, settings, clock)
 
     clock.start("Check")
-    parts = {}
-    if made.test_direct is not None:
-        parts["panes"] = compression_error(made.entries, made.transport, made.modes, made.weights, made.test_direct)
     if stored is None:
         parts["gather noise"] = gather_noise(made, seed)
     else:
@@ -80,8 +107,8 @@ def bake(scene: Scene, settings: Settings | None = None, progress: Callable[[Pro
         points = point_arrays(stored.points, region_of(stored.starts), scene.triangle_object)
     result = Bake.from_panes(panes, first_hit, {"report": report, "seed": seed}, points)
     report["bytes"] = result.bytes
-    if progress is not None:
-        progress(Progress("Done", 1.0, clock.rays))
+    if clock.progress is not None:
+        clock.progress(Progress("Done", 1.0, clock.rays))
     return result
 
 
@@ -91,7 +118,9 @@ def _at_texels(made: Prepared, settings: Settings, clock: Clock) -> tuple[Panes,
     in_time(made, settings, clock, "exit_rays", len(exits))
     rays = made.budget.exit_rays
     clock.start("Exits", len(exits) * rays)
-    rows = gather_panes(made.gatherer, exits.samples, starts, made.tables, rays, settings.seed + 41, clock.tick)
+    begun = made.kept.part("exits", Begun)
+    clock.skip(rays * len(begun.done) * CHUNK)
+    rows = gather_panes(made.gatherer, exits.samples, starts, made.tables, rays, settings.seed + 41, clock.tick, begun)
     beside = joined(exits)
     return _atlas(made, smooth_panes(rows, exits, starts, beside), starts, beside)
 

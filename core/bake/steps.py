@@ -19,6 +19,7 @@ from ..surface import Patches, SurfaceSamples, Texels, Vertices, make_patches, m
 from ..transfer import Entries, Gatherer, Transport, find_entries, make_gatherer, make_piece_gatherer, make_transport
 from ..transfer.entries import MAX_ALBEDO, PLACES
 from .clock import Clock
+from .kept import Kept
 from .steady import piece_excess, sky_bins, static_light, steady_light
 
 PILOTS = 32_768
@@ -41,7 +42,7 @@ class Prepared:
     (regions, ids, c) what a ray that lands on an id brings: the region's modes, then, where the scene has light that no
     live lamp changes, its bounces (3) and, where sky or faces shine, their first hit (3). guide: (1, ids, c) radiosity
     of a few lamps, None where texels are the exits. test_direct: (n, TEST_LAMPS) irradiance of held-out lamps, None
-    where no lamp is live.
+    where no lamp is live. kept: parts that were finished before.
     """
 
     scene: Scene
@@ -65,6 +66,7 @@ class Prepared:
     test_direct: np.ndarray | None
     buried: int
     warnings: list[str]
+    kept: Kept
 
     @property
     def has_steady_light(self) -> bool:
@@ -75,9 +77,10 @@ class Prepared:
         return self.tables.shape[2] > self.modes.panes + 3
 
 
-def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Prepared:
-    """Run all stages up to the exits' gather. Raises SceneError for scenes that cannot be baked."""
-    clock = clock or Clock()
+def prepare(scene: Scene, settings: Settings, clock: Clock | None = None, kept: Kept | None = None) -> Prepared:
+    """Run all stages up to the exits' gather, but for parts that are `kept`. Raises SceneError for scenes that cannot
+    be baked."""
+    clock, kept = clock or Clock(), kept or Kept()
     seed = settings.seed
     budget = plan(scene, settings)
 
@@ -105,14 +108,17 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
 
     clock.start("Transport", len(entries) * budget.entry_rays)
-    transport = make_transport(entries, gatherer, budget.entry_rays, seed, clock.tick)
+    transport = kept.part("transport", lambda: make_transport(entries, gatherer, budget.entry_rays, seed, clock.tick))
 
     places = entries.places
     surface = EntrySurface.of(entries, patches, places, tracer.offset)
     if needs_panes(scene):
         lamps = training_lamps(scene, places, gatherer, budget.lamps, seed + 6)
         clock.start("Lamps", len(lamps))
-        direct = illuminate(lamps, places, PLACES, tracer, seed, lambda done: clock.tick(done, done * len(entries)))
+        direct = kept.part(
+            "lamps",
+            lambda: illuminate(lamps, places, PLACES, tracer, seed, lambda n: clock.tick(n, n * len(entries))),
+        )
         # three at a time stand for red, green and blue
         test = training_lamps(scene, places, gatherer, TEST_LAMPS + 3, seed + 1006)
         test = test[len(test) % 3 :]
@@ -152,7 +158,7 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None) -> Pre
         guide[0, : len(entries)] = some
     made = Prepared(
         scene, budget, patches, bvh, tracer, entries, gatherer, transport, places, surface, modes, weights,
-        texels, None, vertices, tables, guide, is_buried, test_direct, int(buried.sum()), warnings,
+        texels, None, vertices, tables, guide, is_buried, test_direct, int(buried.sum()), warnings, kept,
     )  # fmt: skip
     if not at_points:
         own = own_region(made, texels.samples)

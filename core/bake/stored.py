@@ -14,10 +14,13 @@ import numpy as np
 from ..panes.regions import starts_of
 from ..planner import Settings
 from ..point_cache import Ground, PointSet, Weights, gather_gradients, lamp_radius, make_points, serve, survey
+from ..point_cache.gradients import POINTS
 from ..rays import chunks, in_threads
 from ..surface import Texels
+from ..transfer import Begun
 from ..transfer.entries import PLACES
 from .clock import Clock
+from .kept import digest
 from .steps import Prepared, in_time, own_region
 
 DENSER = 3
@@ -115,9 +118,12 @@ def _gather(made, points, carried, places, region, settings, clock):
     in_time(made, settings, clock, "point_rays", len(points))
     rays = made.budget.point_rays
     clock.start("Exits", len(points) * rays)
+    # one scene can be given several sets of points
+    begun = made.kept.part(f"exits {digest(points.position, names).hex()}", Begun)
+    clock.skip(rays * len(begun.done) * POINTS)
     found = gather_gradients(
-        made.gatherer, points.samples, points.radius, made.tables, rays, settings.seed + 41, clock.tick, point, table
-    )
+        made.gatherer, points.samples, points.radius, made.tables, rays, settings.seed + 41, clock.tick, point, table, begun
+    )  # fmt: skip
     pair = pair.reshape(used.shape)
     rows = np.zeros((len(places), made.tables.shape[2]), np.float32)
 

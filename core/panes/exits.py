@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..surface import SurfaceSamples, Texels
-from ..transfer import Gatherer
+from ..transfer import Begun, Gatherer
 from .regions import region_of
 
 
@@ -19,14 +19,17 @@ def gather_panes(
     rays: int,
     seed: int,
     tick: Callable[[int], None] | None = None,
+    begun: Begun | None = None,
 ) -> np.ndarray:
     """Mean of table rows over the ids that each exit's rays land on: P = W Φ.
 
     exits: sorted by region; starts: (regions + 1,) int, where each region's exits begin. tables:
-    (regions, ids, c) float32, a row per id of the gatherer. Returns (exits, c) float32.
+    (regions, ids, c) float32, a row per id of the gatherer. begun: of the same gather, ended before its time, from
+    which it goes on. Returns (exits, c) float32.
     """
     columns = tables.shape[2]
-    result = np.zeros((len(exits), columns), np.float32)
+    begun = Begun() if begun is None else begun
+    result = begun.rows_of((len(exits), columns))
 
     def consume(piece: slice, ids: np.ndarray):
         first = int(np.searchsorted(starts, piece.start, side="right")) - 1
@@ -40,9 +43,8 @@ def gather_panes(
             at = end
             first += 1
 
-    gatherer.gather(exits, rays, seed, consume, tick)
-    result *= np.float32(1 / rays)
-    return result
+    gatherer.gather(exits, rays, seed, consume, tick, done=begun.done)
+    return result * np.float32(1 / rays)
 
 
 STEPS = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx)

@@ -121,16 +121,19 @@ def _grow(scene, fragments, place, normal, bvh, size, offset, seed):
 def lamp_radius(ground: Ground, gatherer: Gatherer, table: np.ndarray, seed: int = 0) -> np.ndarray:
     """(coarse points,) radius, in no unit, that lamps ask for: small where what they make changes fast.
 
-    table: (1, ids, lamps) float32 radiosity of a few lamps, by the gatherer's ids.
+    table: (1, ids, lamps) float32 radiosity of a few lamps, by the gatherer's ids. Without any, as for a single block
+    in the open, from which light goes nowhere, the harmonic mean distance is all there is to go by.
     """
     coarse = ground.coarse
+    if not table.shape[2]:
+        return ground.harmonic
     step = max(len(coarse) // LOOKS, 1)
     some = coarse.take(slice(None, None, step))
     apart = ground.size * np.sqrt(step)
     found = gather_gradients(gatherer, some, np.full(len(some), apart, np.float32), table, LOOK_RAYS, seed)
-    steep = (found[:, 4:7] ** 2).sum(axis=1)
-    mean = np.maximum(found[:, 0].mean(axis=0), 1e-30)
-    gradient = np.sqrt((steep / mean**2).mean(axis=1))
+    # float64: the square of a faint lamp's light is 0 in float32
+    mean = np.maximum(found[:, 0].mean(axis=0, dtype=np.float64), 1e-30)
+    gradient = np.sqrt(((found[:, 4:7] / mean) ** 2).sum(axis=1).mean(axis=1)).astype(np.float32)
     # of logarithms: one place that no lamp lights would make its neighbours' mean 0
     gradient = np.maximum(gradient, 1e-3 * gradient.max(initial=1e-20))
     there = guides.spread(gradient, some, guides.NEAR * apart, coarse.position, coarse.flat)[:, 0]

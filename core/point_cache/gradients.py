@@ -13,7 +13,7 @@ import numpy as np
 from ..rays import chunks, in_threads, product3
 from ..sampling import hash_uniform
 from ..surface import SurfaceSamples
-from ..transfer import Gatherer
+from ..transfer import Begun, Gatherer
 from ..transfer.gather import turns
 
 POINTS = 256
@@ -45,11 +45,13 @@ def gather_gradients(
     tick: Callable[[int], None] | None = None,
     point: np.ndarray | None = None,
     table: np.ndarray | None = None,
+    begun: Begun | None = None,
 ) -> np.ndarray:
     """(m, ROWS, c) float32: mean of table rows over what points' rays land on, and its gradients.
 
     radius: (n,) m. tables: (t, ids, c) float32, a row per id of the gatherer. point, table: (m,) which point with which
-    table, sorted by point; each point with the first table if not given. The gradient by the normal, g, gives
+    table, sorted by point; each point with the first table if not given. begun: of the same gather, ended before its
+    time, from which it goes on. The gradient by the normal, g, gives
     value + (n' − n) · g at normal n'; that by the place, 1/m, gives value + (x' − x) · g at place x'.
     """
     inner, around = rings(rays)
@@ -57,7 +59,8 @@ def gather_gradients(
         point, table = np.arange(len(points)), np.zeros(len(points), np.int64)
     ids_of_table, columns = tables.shape[1:]
     flat_tables = tables.reshape(-1, columns)
-    result = np.empty((len(point), ROWS, columns), np.float32)
+    begun = Begun() if begun is None else begun
+    result = begun.rows_of((len(point), ROWS, columns))
     smooth = bool((np.einsum("nd,nd->n", points.normal, points.flat) < 0.9999).any())
 
     def part(piece):
@@ -83,10 +86,11 @@ def gather_gradients(
             result[mine, 0] = found[:, 0]
             result[mine, 1:4] = np.einsum("nac,nad->ndc", found[:, 1:3], tangents[own])
             result[mine, 4:7] = np.einsum("nac,nad->ndc", found[:, 3:5], tangents[own])
+        begun.done.add(piece.start)
         if tick is not None:
             tick(inner * around * count)
 
-    in_threads(part, chunks(len(points), POINTS))
+    in_threads(part, [piece for piece in chunks(len(points), POINTS) if piece.start not in begun.done])
     return result
 
 

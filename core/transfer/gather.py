@@ -8,6 +8,7 @@ point's normal by its own angle: all directions are one small matrix product.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,6 +19,20 @@ from ..surface import Patches, SurfaceSamples
 
 ROWS = 16
 """Directions of the pattern handled together: their ids stay in the second-level cache."""
+
+
+@dataclass
+class Begun:
+    """A gather that may end before its time: what has landed so far, and the chunks that are finished."""
+
+    rows: np.ndarray | None = None
+    done: set[int] = field(default_factory=set)
+
+    def rows_of(self, shape: tuple[int, ...]) -> np.ndarray:
+        """The rows, of 0 where nothing has landed yet."""
+        if self.rows is None:
+            self.rows = np.zeros(shape, np.float32)
+        return self.rows
 
 
 class Gatherer:
@@ -68,12 +83,14 @@ class Gatherer:
         consume: Callable[[slice, np.ndarray], None],
         tick: Callable[[int], None] | None = None,
         threads: int | None = None,
+        done: set[int] | None = None,
     ) -> None:
         """Shoot `rays` cosine rays from each point.
 
         consume(points' slice, ids (rows, m) int32) gets blocks of at most ROWS rays of a chunk of points;
         the blocks of one slice come in order from one thread. tick(rays done) follows each chunk; an
-        exception that it raises ends the gather.
+        exception that it raises ends the gather. done: first points of the chunks that are finished; those in it are
+        not gathered again, so that a gather can go on where another has ended.
         """
         # rays below the surface carry nothing, as in Cycles; only smooth shading has such rays
         smooth = bool((np.einsum("nd,nd->n", points.normal, points.flat) < 0.9999).any())
@@ -91,10 +108,12 @@ class Gatherer:
                 for row in range(len(block)):
                     ids[row] = self._land(origins, directions[row], flat)
                 consume(piece, ids)
+            done.add(piece.start)
             if tick is not None:
                 tick(rays * count)
 
-        in_threads(chunk, chunks(len(points)), threads)
+        done = set() if done is None else done
+        in_threads(chunk, [piece for piece in chunks(len(points)) if piece.start not in done], threads)
 
     def visible(self, origins: np.ndarray, vectors: np.ndarray) -> np.ndarray:
         """(n,) float32 part of the light between places that passes: origins + t · vectors, 0 < t < 1."""

@@ -39,6 +39,11 @@ def saved(tmp_path_factory):
 @pytest.fixture
 def room(blender):
     """A closed room 2 m wide with a block in it and a point lamp; returns the scene."""
+    return furnish()
+
+
+def furnish():
+    """The room, in the empty scene that is there."""
     scene = bpy.context.scene
     scene.lightpanes.resolution = 64
     bpy.ops.mesh.primitive_cube_add(size=2.0)

@@ -7,6 +7,7 @@ bpy = pytest.importorskip("bpy")
 
 from lightpanes.addon import atlas, charts, packing  # noqa: E402
 from lightpanes.addon.meshes import LAYER, loop_triangles, read_attribute  # noqa: E402
+from lightpanes.addon.snapshot import Snapshot  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
 
 
@@ -188,19 +189,19 @@ def test_other_layers_selection_and_data_stay_as_they_were(mixed):
         assert read_attribute(room.data, name, len(room.data.loops), 2, "vector", np.float32).tobytes() == data
 
 
-def test_remember_puts_the_atlas_back(mixed):
-    restore = atlas.remember(bpy.context, mixed)
+def test_a_snapshot_puts_the_atlas_back(mixed):
+    taken = Snapshot(bpy.context.scene, mixed)
     make()
-    restore()
+    taken.restore()
     assert all(LAYER not in obj.data.uv_layers and "lightpanes_baked" not in obj for obj in mixed)
     make()
     places = [atlas_uv(obj) for obj in mixed]
-    restore = atlas.remember(bpy.context, mixed)
+    taken = Snapshot(bpy.context.scene, mixed)
     mixed[0].scale = (3, 1, 1)
     bpy.context.view_layer.update()
     make()
     assert not np.array_equal(atlas_uv(mixed[0]), places[0])
-    restore()
+    taken.restore()
     assert all(np.array_equal(atlas_uv(obj), place) for obj, place in zip(mixed, places, strict=True))
 
 

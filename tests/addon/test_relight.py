@@ -316,6 +316,29 @@ def test_deleted_object_is_named_and_light_still_follows(baked, tmp_path):
     assert relight.session(bpy.context.scene).stale == ("'Block' was deleted or hidden since the bake; bake again.",)
 
 
+@pytest.mark.parametrize("way", ["undo", "delete"])
+def test_what_was_there_for_a_while_leaves_no_shadow(baked, tmp_path, way):
+    """A reopened file reads its surfaces at the first relight, with whatever has been added by then."""
+    right = image()
+    reopen(tmp_path)
+    bpy.ops.ed.undo_push(message="Open")
+    copy = bpy.data.objects["Block"].copy()
+    copy.location = (-0.3, -0.2, 0.2)
+    bpy.context.collection.objects.link(copy)
+    update()
+    relight.relight(bpy.context)
+    assert np.abs(image() - right).max() > 0.05 * right.max(), "the copy is right under the lamp"
+    bpy.ops.ed.undo_push(message="Copy")
+    if way == "undo":
+        bpy.ops.ed.undo()
+    else:
+        bpy.data.objects.remove(copy)
+        update()
+        assert relight.check_stale(bpy.context) == ()
+        relight.update(bpy.context.scene, bpy.context.evaluated_depsgraph_get())
+    assert np.allclose(image(), right, rtol=1e-3, atol=1e-4)
+
+
 def test_all_meshes_deleted(baked, tmp_path, capfd):
     for name in ("Block", "Room"):
         bpy.data.objects.remove(bpy.data.objects[name])

@@ -7,10 +7,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import bpy
+import lightpanes
 import numpy as np
+from lightpanes.addon import relight
 from lightpanes.core.bake import Settings, bake
 from lightpanes.core.panes import Relighter
 from lightpanes.core.rays import Tracer
+from mathutils import Vector
 
 from . import harness, scenes
 
@@ -20,6 +23,26 @@ MOVES = 60
 def rows() -> Iterator[dict]:
     for name in ("cornell", "pillars"):
         yield from sample_rows(name)
+    yield drag_row()
+
+
+def drag_row() -> dict:
+    """A lamp of `cornell` moved again and again through Blender: handlers, image and all, but no redraw."""
+    lightpanes.register()
+    bpy.ops.wm.open_mainfile(filepath=str(scenes.FOLDER / "cornell.blend"))
+    scene = bpy.context.scene
+    bpy.ops.lightpanes.bake()
+    lamp = next(item for item in scene.objects if item.type == "LIGHT")
+    lamp.animation_data_clear()
+    start, seen, took = lamp.location.copy(), set(), []
+    for k in range(MOVES):
+        began = time.perf_counter()
+        lamp.location = start + 0.1 * Vector(np.sin(0.7 * k + np.arange(3)))
+        bpy.context.view_layer.update()
+        took.append(time.perf_counter() - began)
+        seen.add(relight.session(scene).shown)
+    rate = 1 / float(np.median(took))
+    return harness.row("a lamp dragged, cornell: updates a second", rate, 20, "1/s", at_least=True, ok=rate >= 20 and len(seen) == MOVES, detail=f"{MOVES} moves through Blender's handlers, redraw excluded")  # fmt: skip
 
 
 def sample_rows(name: str) -> list[dict]:

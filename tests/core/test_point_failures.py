@@ -7,10 +7,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from lightpanes.core.bake import bake
 from lightpanes.core.bake.clock import Clock
 from lightpanes.core.bake.steps import prepare
 from lightpanes.core.bake.stored import bake_points
 from lightpanes.core.lights import irradiance
+from lightpanes.core.panes import Relighter
 from lightpanes.core.point_cache import Ground, PointSet, guides, make_points, serve
 from lightpanes.core.point_cache.interpolation import REACH
 from lightpanes.core.rays import Tracer
@@ -279,6 +281,15 @@ def test_where_no_light_gets_each_place_is_its_own(kind):
     points = make_points(seen, guides.uniform(seen.coarse), 300)
     assert len(points) == pytest.approx(300, rel=0.25)
     assert not points.back.any()
+
+
+@pytest.mark.parametrize("lights", [(), (lamp((3, 0.5, 0.5)),), (lamp((3, 0.5, 0.5), power=1e-30),)])
+def test_a_block_alone_has_points_and_no_bounced_light(lights):
+    """It is convex, so nothing lights it but lamps, and no lamp steers its points."""
+    made = scene((*box((0, 0, 0), (1, 1, 1)), 0), lights=lights)
+    result = bake(made, quick(exits="points", points=300, point_rays=64))
+    assert result.meta["report"]["stored_points"] > 500
+    assert not Relighter(result.panes(), Tracer(made)).relight(made.lights)[..., :3].any()
 
 
 def test_a_lamp_in_a_sealed_box_lights_that_box_alone():

@@ -189,3 +189,15 @@ def test_lifted_origins_do_not_hit_their_own_surface(size, away):
     grazing = normal * 0.02 + side / np.linalg.norm(side)
     assert tracer.visibility(origins, np.tile(grazing * max(size, 1), (500, 1))).all()
     assert tracer.offset < 0.05 * max(size, 1e-6 * away)
+
+
+def test_threads_as_asked():
+    every = rays.thread_count()
+    try:
+        rays.use_threads(1)
+        assert rays.thread_count() == 1 and in_threads(lambda x: x + 1, range(5)) == [1, 2, 3, 4, 5]
+        rays.use_threads(1000)
+        assert rays.thread_count() == rays.MOST_THREADS
+    finally:
+        rays.use_threads(0)
+    assert rays.thread_count() == every

@@ -1,0 +1,305 @@
+"""What the buttons beside obstacles do: the operator `lightpanes.fix` and a function for each kind of obstacle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from contextlib import contextmanager
+
+import bpy
+from mathutils import Vector
+
+from ..core.scene import SceneError
+from . import former, preflight, vertices, world_light
+from .meshes import LAYER
+from .obstacles import Facts, Obstacle
+from .twice import NO_LIGHT
+
+LAMP_POWER = 10.0
+"""W for each m² of the extent of what is lit: a lamp in the middle of a room lights it as a bright lamp would."""
+
+SUN_POWER = 1.0  # W/m²
+
+
+class LIGHTPANES_OT_fix(bpy.types.Operator):
+    bl_idname = "lightpanes.fix"
+    bl_label = "Fix"
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
+
+    kind: bpy.props.StringProperty(options={"HIDDEN"})
+    target: bpy.props.StringProperty(options={"HIDDEN"})
+
+    @classmethod
+    def description(cls, _context, properties):
+        return HELP.get(properties.kind, "")
+
+    def execute(self, context):
+        obstacle = _find(context, self.kind, self.target)
+        if obstacle is None:
+            preflight.forget()
+            self.report({"INFO"}, "Nothing is left to fix here")
+            return {"CANCELLED"}
+        try:
+            FIXES[self.kind](context, obstacle)
+        except SceneError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        finally:
+            preflight.forget()
+        return {"FINISHED"}
+
+
+def _find(context, kind, target) -> Obstacle | None:
+    """The obstacle as it is now, which may differ from what the panel drew."""
+    for obstacle in preflight.examine(context).obstacles:
+        if (obstacle.kind, obstacle.target) == (kind, target) and obstacle.button:
+            return obstacle
+    return None
+
+
+def _objects(context, obstacle) -> list[bpy.types.Object]:
+    names = set(obstacle.names)
+    return [item for item in context.scene.objects if item.name in names]
+
+
+def _editable(items: Iterable) -> list[bpy.types.Object]:
+    return [item for item in items if item.library is None]
+
+
+def _show(context, obstacle):
+    """Let objects render: themselves, and the collections that hide them."""
+    wanted = set(_objects(context, obstacle))
+    for item in _editable(wanted):
+        item.hide_render = False
+
+    def visit(layer):
+        inside = bool(wanted.intersection(layer.collection.objects))
+        for child in layer.children:
+            inside |= visit(child)
+        if inside:
+            layer.exclude = False
+            if layer.collection.library is None:
+                layer.collection.hide_render = False
+        return inside
+
+    for child in context.view_layer.layer_collection.children:
+        visit(child)
+    context.scene.collection.hide_render = False
+
+
+def _include(context, obstacle):
+    for item in _editable(_objects(context, obstacle)):
+        item.lightpanes.exclude = False
+
+
+def _exclude(context, obstacle):
+    for item in _editable(_objects(context, obstacle)):
+        item.lightpanes.exclude = True
+
+
+def _hide(context, obstacle):
+    for item in _editable(_objects(context, obstacle)):
+        item.hide_render = True
+
+
+def _object_mode(context, obstacle):
+    if context.active_object is None or context.active_object.mode == "OBJECT":
+        for item in _objects(context, obstacle):
+            context.view_layer.objects.active = item
+            bpy.ops.object.mode_set(mode="OBJECT")
+    else:
+        bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def _rename_layer(context, obstacle):
+    for item in _objects(context, obstacle):
+        _rename(item.data, LAYER)
+
+
+def _rename_light(context, obstacle):
+    for item in _objects(context, obstacle):
+        _rename(item.data, vertices.LIGHT)
+
+
+def _rename(mesh, name):
+    """Give the user's attribute the first free name after its own."""
+    number = 1
+    while f"{name}.{number:03d}" in mesh.attributes:
+        number += 1
+    mesh.attributes[name].name = f"{name}.{number:03d}"
+
+
+def _exits(context, _obstacle):
+    context.scene.lightpanes.exits = "AUTO"
+
+
+def _light(context, obstacle):
+    """Show the lamps that there are, or add one in the middle of all that renders."""
+    if obstacle.names:
+        _show(context, obstacle)
+        return
+    middle, extent = _bounds(context)
+    data = bpy.data.lights.new("Lamp", "POINT")
+    data.energy = LAMP_POWER * max(extent, 1.0) ** 2
+    lamp = bpy.data.objects.new("Lamp", data)
+    lamp.location = middle
+    context.scene.collection.objects.link(lamp)
+
+
+def _power(context, obstacle):
+    _, extent = _bounds(context)
+    for item in _objects(context, obstacle):
+        if item.data.library is None and item.data.energy == 0:
+            item.data.energy = SUN_POWER if item.data.type == "SUN" else LAMP_POWER * max(extent, 1.0) ** 2
+
+
+def _bounds(context) -> tuple[Vector, float]:
+    """Middle and largest side, in metres, of the box around all that can be lit."""
+    corners = [
+        item.matrix_world @ Vector(corner)
+        for item in Facts(context).shown
+        for corner in item.bound_box
+    ]  # fmt: skip
+    if not corners:
+        return Vector(), 1.0
+    low = Vector(min(corner[k] for corner in corners) for k in range(3))
+    high = Vector(max(corner[k] for corner in corners) for k in range(3))
+    return (low + high) / 2, max(high - low)
+
+
+def _convert(context, obstacle):
+    for item in _objects(context, obstacle):
+        with _alone(context, item):
+            bpy.ops.object.convert(target="MESH")
+
+
+def _make_real(context, obstacle):
+    for item in _objects(context, obstacle):
+        with _alone(context, item):
+            bpy.ops.object.duplicates_make_real()
+
+
+@contextmanager
+def _alone(context, item):
+    """One object selected and active: some operators take the selection and nothing else."""
+    layer = context.view_layer
+    selected, active = list(context.selected_objects), layer.objects.active
+    hidden, switched_off = item.hide_get(view_layer=layer), item.hide_viewport
+    try:
+        item.hide_viewport = False
+        item.hide_set(False, view_layer=layer)
+        for other in selected:
+            other.select_set(False, view_layer=layer)
+        item.select_set(True, view_layer=layer)
+        layer.objects.active = item
+        if not item.select_get(view_layer=layer):
+            raise SceneError(f"'{item.name}' is hidden in the viewport by its collection: show that first.")
+        yield
+    finally:
+        for other in list(context.selected_objects):
+            other.select_set(False, view_layer=layer)
+        item.hide_viewport = switched_off
+        item.hide_set(hidden, view_layer=layer)
+        for other in selected:
+            if other.name in layer.objects:
+                other.select_set(True, view_layer=layer)
+        layer.objects.active = active
+
+
+def _make_local(context, obstacle):
+    for item in _objects(context, obstacle):
+        if item.library is not None:
+            item = item.make_local()
+        if item.data.library is not None:
+            item.data = item.data.copy()
+    left = [item.name for item in _objects(context, obstacle) if item.library is not None]
+    if left:
+        raise SceneError(f"'{left[0]}' is in a linked collection: use Object > Library Override > Make first.")
+
+
+def _single_user(context, obstacle):
+    for item in _objects(context, obstacle):
+        item.data = item.data.copy()
+
+
+def _world_light(context, _obstacle):
+    world_light.hide(context.scene.world)
+
+
+def _fast_gi(context, _obstacle):
+    scene = context.scene
+    former.change(scene, "eevee.use_fast_gi", True)
+    former.change(scene, "eevee.fast_gi_method", NO_LIGHT)
+    if scene.eevee.ray_tracing_options.trace_max_roughness >= 1:
+        former.change(scene, "eevee.ray_tracing_options.trace_max_roughness", 0.5)
+
+
+def _probes(context, obstacle):
+    for item in _editable(_objects(context, obstacle)):
+        former.change(item, "hide_render", True)
+        former.change(item, "hide_viewport", True)
+
+
+def _cycles_bounces(context, _obstacle):
+    # what they were before Show in Cycles is remembered by the setting itself
+    context.scene.cycles.diffuse_bounces = 0
+
+
+def _cycles_fast_gi(context, _obstacle):
+    former.change(context.scene, "cycles.use_fast_gi", False)
+
+
+FIXES: dict[str, Callable[[bpy.types.Context, Obstacle], None]] = {
+    "ALL_HIDDEN": _show,
+    "ALL_EXCLUDED": _include,
+    "EDIT_MODE": _object_mode,
+    "OTHER_MODE": _object_mode,
+    "UV_LAYERS": _exclude,
+    "ATTRIBUTE": _rename_layer,
+    "EXITS": _exits,
+    "NO_LAMP": _light,
+    "NO_POWER": _power,
+    "CONVERT": _convert,
+    "INSTANCES": _make_real,
+    "LINKED": _make_local,
+    "FACELESS": _hide,
+    "SHARED_MESH": _single_user,
+    "LIGHT_ATTRIBUTE": _rename_light,
+    "WORLD_LIGHT": _world_light,
+    "FAST_GI": _fast_gi,
+    "LIGHT_PROBES": _probes,
+    "CYCLES_BOUNCES": _cycles_bounces,
+    "CYCLES_FAST_GI": _cycles_fast_gi,
+}
+
+HELP = {
+    "ALL_HIDDEN": "Turn on the camera icons of all meshes and of the collections that they are in",
+    "ALL_EXCLUDED": "Clear Exclude on all of these objects",
+    "EDIT_MODE": "Leave Edit Mode",
+    "OTHER_MODE": "Go back to Object Mode",
+    "UV_LAYERS": "Keep this object out of the bake: it gets no baked light, but still blocks and reflects it",
+    "ATTRIBUTE": "Give the attribute another name, which nodes and drivers that use it then need too",
+    "EXITS": "Let the bake choose where it gathers light",
+    "NO_LAMP": "Show the lamps that are hidden from renders, or add a point lamp in the middle of the scene",
+    "NO_POWER": "Give these lamps a power that suits the size of the scene",
+    "CONVERT": "Turn these objects into meshes, which keep their shape and lose its curve or text",
+    "INSTANCES": "Turn the instances into objects of their own, so that each gets its place in the atlas",
+    "LINKED": "Copy these objects and their meshes into this file",
+    "FACELESS": "Hide these objects from renders",
+    "SHARED_MESH": "Give this object a mesh of its own",
+    "LIGHT_ATTRIBUTE": "Give the attribute another name, which nodes that use it then need too",
+    "WORLD_LIGHT": "EEVEE shows the world where the camera sees it and lights and reflects nothing with it. "
+    "Clear takes that back",
+    "FAST_GI": "Ray tracing goes on for reflections, and diffuse surfaces get ambient occlusion only. "
+    "Clear gives the settings back",
+    "LIGHT_PROBES": "Hide the volume probes from renders and viewports. Clear shows them again",
+    "CYCLES_BOUNCES": "Leave diffuse bounces to the baked light. Turning Show in Cycles off gives them back",
+    "CYCLES_FAST_GI": "Leave ambient light to the baked light. Clear gives the setting back",
+}
+
+
+def register() -> None:
+    bpy.utils.register_class(LIGHTPANES_OT_fix)
+
+
+def unregister() -> None:
+    bpy.utils.unregister_class(LIGHTPANES_OT_fix)

@@ -1,0 +1,235 @@
+"""The bake that runs while Blender stays free: steps of it on a timer, core's work on a thread.
+
+One bake runs at a time. Cancelling lets go of the thread at once, which ends at its next report; what it had finished
+is kept, and the next bake of the same scene with the same settings goes on from there.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Generator
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ..core.bake import Cancelled, Kept, Progress
+from ..core.scene import SceneError
+from .work import Work
+
+SLICE = 0.03
+"""s that steps on the main thread may take before Blender gets a turn; a step once begun is not interrupted."""
+
+
+class _Thread(threading.Thread):
+    """Runs one Work and keeps its result or its exception."""
+
+    def __init__(self, work: Work, job: Job):
+        super().__init__(name="Lightpanes", daemon=True)
+        self.work, self.job = work, job
+        self.result: object = None
+        self.error: BaseException | None = None
+
+    def run(self) -> None:
+        try:
+            self.result = self.work.run(self._told)
+        except BaseException as error:
+            self.error = error
+
+    def _told(self, progress: Progress) -> None:
+        if self.job.ended:
+            raise Cancelled
+        self.job.progress = progress
+
+
+class Job:
+    """Drives the steps of one bake.
+
+    Read `progress` at any time; call `advance` again and again on the main thread until it returns True, then read
+    `report`, or `error`: what the user must know, empty after a cancel.
+    """
+
+    def __init__(self, scene: bpy.types.Scene, steps: Generator, after: threading.Thread | None = None):
+        self.scene = scene.session_uid
+        self.steps = steps
+        self.began = time.perf_counter()
+        self.progress = Progress("Waiting for the cancelled bake" if after else "Atlas", 0.0, 0)
+        self.ended = False
+        self.report: dict | None = None
+        self.error = ""
+        self._after, self._thread, self._answer = after, None, None
+
+    def advance(self) -> bool:
+        """Do what is to be done on the main thread for a moment; True once the bake has ended."""
+        if self.ended:
+            return True
+        if self._after is not None and self._after.is_alive():
+            return False
+        if self._thread is not None:
+            if self._thread.is_alive():
+                return False
+            thread, self._thread = self._thread, None
+            if thread.error is not None:
+                self._fail(thread.error)
+                return True
+            self._answer = thread.result
+        until = time.perf_counter() + SLICE
+        self._step()
+        while self._thread is None and not self.ended and time.perf_counter() < until:
+            self._step()
+        return self.ended
+
+    def _step(self) -> None:
+        answer, self._answer = self._answer, None
+        try:
+            with self._in_its_scene():
+                step = self.steps.send(answer)
+        except StopIteration as end:
+            self.report, self.ended = end.value, True
+        except BaseException as error:
+            self._end(error)
+        else:
+            if isinstance(step, Work):
+                self._thread = _Thread(step, self)
+                self._thread.start()
+            else:
+                self.progress = step
+
+    def cancel(self) -> None:
+        """End it now; what was there before stays."""
+        if not self.ended:
+            self._fail(Cancelled())
+
+    def _fail(self, error: BaseException) -> None:
+        """Let the steps put back what they changed."""
+        try:
+            with self._in_its_scene():
+                self.steps.throw(error)
+        except BaseException as raised:
+            error = raised
+        self._end(error)
+
+    def _end(self, error: BaseException) -> None:
+        self.ended = True
+        if isinstance(error, (Cancelled, GeneratorExit)):
+            return
+        if isinstance(error, ReferenceError):
+            # an object that was being read has been deleted
+            self.error = "The scene changed while it was read: bake again."
+        elif isinstance(error, (SceneError, MemoryError)):
+            self.error = str(error) or "There is not enough memory: lower Resolution."
+        else:
+            self.error = f"The bake failed ({type(error).__name__}: {error})."
+            raise error
+
+    def _in_its_scene(self):
+        """The steps read the context, whose scene the user may have left."""
+        scene = next((s for s in bpy.data.scenes if s.session_uid == self.scene), None)
+        if scene is None:
+            raise SceneError("The scene was deleted while it was baked.")
+        if bpy.context.scene == scene:
+            return bpy.context.temp_override()
+        return bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0])
+
+    @property
+    def alone(self) -> bool:
+        """Whether the bake holds nothing of Blender's just now."""
+        return self._thread is not None and self._thread.work.alone
+
+    @property
+    def thread(self) -> threading.Thread | None:
+        """Where core still works, after a cancel too."""
+        for thread in (self._thread, self._after):
+            if thread is not None and thread.is_alive():
+                return thread
+        return None
+
+
+_kept = Kept()
+_current: Job | None = None
+
+
+def start(context: bpy.types.Context) -> Job:
+    """Begin to bake the context's scene; raises SceneError while another bake runs."""
+    from . import baking
+
+    global _current
+    if running():
+        raise SceneError("A bake is running; wait for it, or cancel it.")
+    after = _current.thread if _current is not None else None
+    # the context that operators get may be gone at the next step
+    _current = Job(context.scene, baking.bake_steps(bpy.context, _kept), after)
+    return _current
+
+
+def running() -> bool:
+    """Whether a bake is under way."""
+    return _current is not None and not _current.ended
+
+
+def current() -> Job | None:
+    """The bake that is under way, or the last one."""
+    return _current
+
+
+def cancel() -> None:
+    """Cancel the bake that is under way, if any."""
+    if running():
+        _current.cancel()
+
+
+def draw(layout: bpy.types.UILayout, _context: bpy.types.Context) -> None:
+    """The bar with the stage, what is known so far, and Cancel."""
+    progress = _current.progress
+    row = layout.row(align=True)
+    row.scale_y = 1.4
+    row.progress(factor=progress.fraction, type="BAR", text=f"{progress.stage}  {100 * progress.fraction:.0f} %")
+    row.operator("lightpanes.cancel", text="", icon="X")
+    known = facts(progress)
+    if known:
+        layout.label(text=known, icon="TIME")
+
+
+def facts(progress: Progress) -> str:
+    """Time left, rays and error as far as they are known."""
+    parts = []
+    if progress.seconds_left is not None:
+        parts.append(f"{_duration(progress.seconds_left)} left")
+    if progress.rays:
+        parts.append(f"{progress.rays / 1e6:.1f} M rays")
+    if progress.error is not None:
+        parts.append(f"error from {100 * progress.error:.1f} %")
+    return ", ".join(parts)
+
+
+def _duration(seconds: float) -> str:
+    whole = max(int(seconds + 0.5), 1)
+    return f"{whole} s" if whole < 60 else f"{whole // 60} min {whole % 60} s"
+
+
+@persistent
+def _on_load(*_):
+    cancel()
+
+
+@persistent
+def _on_undo(*_):
+    """Undo makes references to data-blocks invalid."""
+    if running() and not _current.alone:
+        cancel()
+
+
+HANDLERS = {"load_pre": _on_load, "undo_pre": _on_undo, "redo_pre": _on_undo}
+
+
+def register() -> None:
+    for event, handler in HANDLERS.items():
+        getattr(bpy.app.handlers, event).append(handler)
+
+
+def unregister() -> None:
+    cancel()
+    for event, handler in HANDLERS.items():
+        handlers = getattr(bpy.app.handlers, event)
+        if handler in handlers:
+            handlers.remove(handler)

@@ -1,0 +1,353 @@
+"""What stands in the way of a bake, as far as Blender's data tell without a mesh being evaluated.
+
+Each obstacle is a sentence for the user and, where one click can mend it, the label of that button; `fixes` holds what
+the buttons do. What only a bake finds out (charts that don't fit, vertices that are not numbers) is not here.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import bpy
+
+from . import materials, store, vertices, visibility
+from .extract import GEOMETRY, NOT_TRACED
+from .meshes import LAYER
+
+ERROR, WARNING = "ERROR", "WARNING"
+
+MOST_LAYERS = 8
+"""UV layers that Blender allows a mesh."""
+
+MOST_REAL = 1000
+"""Instances that one click may turn into objects."""
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """kind: its name, and that of its fix. severity: ERROR where a bake can't be made or would hold nothing, else
+    WARNING. names: of the objects that it is about. button: label of the one-click fix, "" without one. target: the
+    object by which obstacles of one kind are told apart, "" where one stands for all objects."""
+
+    kind: str
+    severity: str
+    sentence: str
+    names: tuple[str, ...] = ()
+    button: str = ""
+    target: str = ""
+
+    OPERATOR = "lightpanes.fix"
+
+    @property
+    def properties(self) -> dict[str, str]:
+        """Of OPERATOR, for this obstacle's button."""
+        return {"kind": self.kind, "target": self.target}
+
+
+class Facts:
+    """What the finders of obstacles and the forecast both need to know, read once.
+
+    surfaces: objects with a shape, but ours. rendered: all that render. shown: surfaces that render. receivers: those
+    that get light. instancers: of collections, empty ones included. lamps: that render.
+    """
+
+    def __init__(self, context: bpy.types.Context):
+        self.context = context
+        self.scene: bpy.types.Scene = context.scene
+        self.rendered = visibility.rendered_objects(context.view_layer)
+        self.surfaces, self.instancers, self.all_lamps = [], [], []
+        for item in self.scene.objects:
+            if item.type == "LIGHT":
+                self.all_lamps.append(item)
+            elif item.type in GEOMETRY and store.TAG not in item:
+                self.surfaces.append(item)
+            if item.instance_collection is not None:
+                self.instancers.append(item)
+        self.shown = [item for item in self.surfaces if item in self.rendered]
+        self.lamps = [item for item in self.all_lamps if item in self.rendered]
+        self.receivers = [item for item in self.shown if _receives(item)]
+
+    @cached_property
+    def at_vertices(self) -> list[bpy.types.Object]:
+        """Receivers that ask for light at their vertices and can have it, as far as their modifiers allow."""
+        asking = [item for item in self.receivers if item.lightpanes.target == "VERTICES"]
+        return [item for item in asking if not (self.shares_mesh(item) or _has_own_light(item))]
+
+    def shares_mesh(self, item: bpy.types.Object) -> bool:
+        """Whether another receiver has the same mesh."""
+        return self._users[item.data] > 1
+
+    @cached_property
+    def _users(self) -> Counter:
+        return Counter(item.data for item in self.receivers)
+
+
+def _receives(item) -> bool:
+    return (
+        item.type == "MESH"
+        and not item.lightpanes.exclude
+        and not _is_linked(item)
+        and (item.mode == "EDIT" or len(item.data.polygons) > 0)
+    )
+
+
+def _is_linked(item) -> bool:
+    return item.library is not None or item.data.library is not None
+
+
+def _has_own_light(item) -> bool:
+    """Whether the user's own attribute stands where light at vertices would go."""
+    return vertices.LIGHT in item.data.attributes and vertices.OURS not in item.data
+
+
+def find(facts: Facts) -> list[Obstacle]:
+    """All of them, those that stop a bake first."""
+    found = [obstacle for finder in FINDERS for obstacle in finder(facts)]
+    return sorted(found, key=lambda obstacle: obstacle.severity != ERROR)
+
+
+def named(items: Iterable) -> str:
+    """'A', 'B' and 3 more."""
+    names = [f"'{name}'" for name in names_of(items)]
+    if len(names) > 3:
+        names[2:] = [f"{len(names) - 2} more"]
+    return " and ".join((", ".join(names[:-1]), names[-1])) if len(names) > 1 else names[0]
+
+
+def names_of(items: Iterable) -> tuple[str, ...]:
+    return tuple(item.name for item in items)
+
+
+def _nothing(facts) -> Iterator[Obstacle]:
+    """The scene has nothing that a bake could light: the first reason that holds."""
+    begin, scene = "There is nothing to bake:", facts.scene.name
+    shown = facts.shown
+    if not facts.surfaces and not facts.instancers:
+        yield Obstacle("NO_MESH", ERROR, f"{begin} scene '{scene}' has no mesh. Add one.")
+    elif not shown and not facts.rendered.intersection(facts.instancers):
+        yield Obstacle(
+            "ALL_HIDDEN",
+            ERROR,
+            f"{begin} every mesh in scene '{scene}' is hidden from renders. "
+            "Turn on its camera icon in the Outliner, or that of its collection.",
+            names_of(facts.surfaces),
+            "Show in Renders",
+        )
+    elif shown and all(item.lightpanes.exclude for item in shown):
+        sentence = f"{begin} every mesh in scene '{scene}' is excluded from Lightpanes."
+        yield Obstacle("ALL_EXCLUDED", ERROR, sentence, names_of(shown), "Include All")
+    elif shown and all(item.type == "MESH" and not item.data.polygons for item in shown):
+        sentence = f"{begin} '{shown[0].name}' has no faces. Add some."
+        yield Obstacle("NO_FACES", ERROR, sentence, names_of(shown))
+    elif not facts.receivers:
+        sentence = "No object can receive light: add a mesh with faces that renders, or clear Exclude on one."
+        yield Obstacle("NO_RECEIVER", ERROR, sentence)
+
+
+def _mode(facts) -> Iterator[Obstacle]:
+    editing = [item for item in facts.receivers if item.mode == "EDIT"]
+    if editing:
+        sentence = f"'{editing[0].name}' is in Edit Mode: leave it (Tab) and bake again."
+        yield Obstacle("EDIT_MODE", ERROR, sentence, names_of(editing), "Leave Edit Mode")
+    elif facts.context.mode != "OBJECT":
+        sentence = "Bakes start in Object Mode only, and another mode is on."
+        yield Obstacle("OTHER_MODE", ERROR, sentence, button="To Object Mode")
+
+
+def _layers(facts) -> Iterator[Obstacle]:
+    """Meshes in which the UV layer finds no place."""
+    lit = set(facts.at_vertices)
+    for item in facts.receivers:
+        layers = item.data.uv_layers
+        if item in lit or item.mode == "EDIT" or LAYER in layers:
+            continue
+        name = item.name
+        if len(layers) >= MOST_LAYERS:
+            sentence = f"'{name}' has 8 UV layers, the most that Blender allows: delete one, or exclude the object."
+            yield Obstacle("UV_LAYERS", ERROR, sentence, (name,), "Exclude", name)
+        if LAYER in item.data.attributes:
+            sentence = f"'{name}' has an attribute named '{LAYER}' that is not a UV layer: rename it."
+            yield Obstacle("ATTRIBUTE", ERROR, sentence, (name,), "Rename", name)
+
+
+def _exits(facts) -> Iterator[Obstacle]:
+    if facts.scene.lightpanes.exits == "ATLAS" and facts.at_vertices:
+        yield Obstacle(
+            "EXITS",
+            ERROR,
+            f"'Points, Spread to Texels' has no place for light at vertices, as {named(facts.at_vertices)} would have it.",
+            names_of(facts.at_vertices),
+            "Light At: Automatic",
+        )
+
+
+def _lamps(facts) -> Iterator[Obstacle]:
+    lamps = facts.lamps
+    if not lamps and not facts.instancers:
+        yield Obstacle(
+            "NO_LAMP",
+            WARNING,
+            f"Scene '{facts.scene.name}' has no visible lamp; the light follows as soon as you add or show one.",
+            names_of(facts.all_lamps),
+            "Show Lamps" if facts.all_lamps else "Add Lamp",
+        )
+    dark = [item for item in lamps if item.data.energy == 0 and item.data.animation_data is None]
+    # one live lamp that is off among others is how lamps are used
+    if len(dark) < len(lamps):
+        dark = [item for item in dark if not item.data.lightpanes.live]
+    if dark:
+        sentence = f"The power of {named(dark)} is 0, so that there is no light to bake."
+        button = "Set Power" if any(item.data.library is None for item in dark) else ""
+        yield Obstacle("NO_POWER", WARNING, sentence, names_of(dark), button)
+
+
+def _not_meshes(facts) -> Iterator[Obstacle]:
+    """Curves and the like, which have faces but no UVs."""
+    curved = [item for item in facts.shown if item.type != "MESH" and not item.lightpanes.exclude and has_surface(item)]
+    simple = [item for item in curved if converts_safely(item)]
+    for items, button in ((simple, "Convert to Mesh"), ([item for item in curved if item not in simple], "")):
+        if items:
+            one = len(items) == 1
+            what = "is not a mesh: it blocks and reflects" if one else "are not meshes: they block and reflect"
+            kind = "CONVERT" if button else "NOT_A_MESH"
+            sentence = f"{named(items)} {what} light but receive{'s' * one} none. Use Object > Convert > Mesh."
+            yield Obstacle(kind, WARNING, sentence, names_of(items), button)
+
+
+def has_surface(item: bpy.types.Object) -> bool:
+    """Whether a curve or text has faces and not only a line; modifiers might make some."""
+    data = item.data
+    if item.type not in {"CURVE", "FONT"} or len(item.modifiers):
+        return True
+    filled = data.fill_mode != "NONE" and (item.type == "FONT" or data.dimensions == "2D")
+    return filled or data.extrude > 0 or data.bevel_depth > 0 or data.bevel_object is not None
+
+
+def converts_safely(item: bpy.types.Object) -> bool:
+    """Whether Convert to Mesh loses nothing but the handles: no other user, no animation of the shape, no family."""
+    data = item.data
+    return (
+        item.type in {"CURVE", "SURFACE", "FONT"}
+        and not _is_linked(item)
+        and data.users == 1
+        and data.animation_data is None
+        and data.shape_keys is None
+    )
+
+
+def _instances(facts) -> Iterator[Obstacle]:
+    for item in facts.scene.objects:
+        kind = item.instance_type
+        if kind == "NONE" or item not in facts.rendered or not _makes_meshes(item):
+            continue
+        count = {"VERTS": "vertices", "FACES": "polygons"}.get(kind)
+        few = count is None or len(getattr(item.data, count)) <= MOST_REAL
+        yield Obstacle(
+            "INSTANCES",
+            WARNING,
+            f"Instances made by '{item.name}' block and reflect light but receive none. "
+            "Use Object > Apply > Make Instances Real.",
+            (item.name,),
+            "Make Real" if few and item.library is None else "",
+            item.name,
+        )
+
+
+def _makes_meshes(item) -> bool:
+    if item.instance_type == "COLLECTION":
+        collection = item.instance_collection
+        return collection is not None and any(part.type in GEOMETRY for part in collection.all_objects)
+    return item.type == "MESH" and any(child.type in GEOMETRY for child in item.children)
+
+
+def _particles(facts) -> Iterator[Obstacle]:
+    instancing, strands = [], []
+    for item in facts.shown:
+        kinds = {system.settings.render_type for system in item.particle_systems}
+        if kinds & {"OBJECT", "COLLECTION"}:
+            instancing.append(item)
+        if kinds - {"OBJECT", "COLLECTION", "NONE"}:
+            strands.append(item)
+    if instancing:
+        sentence = f"Particles of {named(instancing)} block and reflect light but receive none."
+        yield Obstacle("PARTICLES", WARNING, sentence, names_of(instancing))
+    if strands:
+        sentence = f"Hair or particles of {named(strands)} are not objects: they neither block nor reflect light."
+        yield Obstacle("HAIR", WARNING, sentence, names_of(strands))
+
+
+def _linked(facts) -> Iterator[Obstacle]:
+    linked = [item for item in facts.shown if item.type == "MESH" and not item.lightpanes.exclude and _is_linked(item)]
+    if linked:
+        one = len(linked) == 1
+        what = "comes from a linked library: it blocks and reflects" if one else (
+            "come from a linked library: they block and reflect"
+        )  # fmt: skip
+        sentence = f"{named(linked)} {what} light but receive{'s' * one} none."
+        yield Obstacle("LINKED", WARNING, sentence, names_of(linked), "Make Local")
+
+
+def _faceless(facts) -> Iterator[Obstacle]:
+    """Among objects that have faces; modifiers might make some."""
+    empty = [
+        item
+        for item in facts.shown
+        if item.type == "MESH" and not (item.data.polygons or item.modifiers or item.mode == "EDIT")
+    ]
+    if empty and facts.receivers:
+        sentence = f"{named(empty)} {'has' if len(empty) == 1 else 'have'} no faces and so no part in the bake."
+        yield Obstacle("FACELESS", WARNING, sentence, names_of(empty), "Hide from Renders")
+
+
+def _untraced(facts) -> Iterator[Obstacle]:
+    met: dict[str, list] = {}
+    for item in facts.rendered:
+        if item.type in NOT_TRACED:
+            met.setdefault(item.type, []).append(item)
+    for kind in sorted(met):
+        items = sorted(met[kind], key=lambda item: item.name)
+        sentence = f"{named(items)}: {NOT_TRACED[kind]} neither blocks nor reflects light in a bake."
+        yield Obstacle("UNTRACED", WARNING, sentence, names_of(items), target=items[0].name)
+
+
+def _vertices(facts) -> Iterator[Obstacle]:
+    """Objects that ask for light at their vertices and would take a texture instead."""
+    for item in facts.receivers:
+        if item.lightpanes.target != "VERTICES" or item.mode == "EDIT":
+            continue
+        begin = f"'{item.name}' can't be lit at its vertices and takes a texture instead, because it"
+        if facts.shares_mesh(item):
+            sentence = f"{begin} shares its mesh with others."
+            yield Obstacle("SHARED_MESH", WARNING, sentence, (item.name,), "Make Single User", item.name)
+        elif _has_own_light(item):
+            sentence = f"{begin} has an attribute '{vertices.LIGHT}' of its own."
+            yield Obstacle("LIGHT_ATTRIBUTE", WARNING, sentence, (item.name,), "Rename", item.name)
+
+
+def _looks(facts) -> Iterator[Obstacle]:
+    """Materials that do what a bake does not know."""
+    told: list[str] = []
+    for material in {slot.material: None for item in facts.shown for slot in item.material_slots if slot.material}:
+        materials.look(material, told)
+    for sentence in dict.fromkeys(told):
+        yield Obstacle("MATERIAL", WARNING, sentence, target=sentence)
+
+
+FINDERS: tuple[Callable[[Facts], Iterator[Obstacle]], ...] = (
+    _nothing,
+    _mode,
+    _layers,
+    _exits,
+    _lamps,
+    _not_meshes,
+    _instances,
+    _linked,
+    _faceless,
+    _vertices,
+    _particles,
+    _untraced,
+    _looks,
+)

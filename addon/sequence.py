@@ -1,0 +1,268 @@
+"""The baked light of an animation as images, for engines that only play textures.
+
+A folder gets `irradiance_0001.exr` and so on, one a frame: irradiance in W/m², linear Rec.709, the receiver's own colour
+divided out, so that outgoing radiance = albedo × irradiance / π. `lightpanes_animation.json` beside them says which
+frames there are and where in the atlas each object lies; `direct.exr` is the first hit of sky and emissive faces, to be
+added, where the bake holds it. All files of a run appear at once when its last frame is done, or not at all.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Generator
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..core import exr
+from ..core.bake import Progress
+from ..core.panes import Relighter
+from ..core.rays import Tracer
+from ..core.scene import Light, SceneError
+from . import engine, extract, lamps, nodes, relight, store, vertices
+from .work import run
+
+FOLDER = "lightpanes_irradiance"
+MANIFEST = "lightpanes_animation.json"
+DIRECT = "direct.exr"
+SCHEMA = 1
+"""Of the manifest: another number where a reader of the former one would go wrong."""
+
+Steps = Generator[Progress, None, dict]
+
+
+def frames_of(scene: bpy.types.Scene, start: int | None, end: int | None, step: int | None) -> range:
+    """The frames to write; None means the scene's own. Raises SceneError when there are none."""
+    start = scene.frame_start if start is None else start
+    end = scene.frame_end if end is None else end
+    if end < start:
+        raise SceneError(f"The last frame, {end}, is before the first, {start}; name them the other way round.")
+    return range(start, end + 1, scene.frame_step if step is None else step)
+
+
+def folder_of(directory: str) -> Path:
+    """An absolute folder from what a user typed. Raises SceneError when that names none."""
+    if not directory.strip():
+        raise SceneError("No folder is named for the images; name one.")
+    if directory.startswith("//") and not bpy.data.filepath:
+        raise SceneError(
+            f"The folder '{directory}' lies beside the .blend, which has not been saved yet. Save it, or name a folder "
+            "by its full path."
+        )
+    return Path(bpy.path.abspath(directory)).expanduser().absolute()
+
+
+def write(
+    context: bpy.types.Context, folder: Path, frames: range, tell: Callable[[Progress], None] | None = None
+) -> dict:
+    """Write the animation of the context's scene to `folder`, which is made if missing; returns the manifest.
+
+    Raises SceneError with a sentence for the user. Whatever stops it, an exception raised by `tell` included, leaves
+    the folder, the scene's frame and its light as they were.
+    """
+    return run(writing(context, folder, frames), tell)
+
+
+def writing(context: bpy.types.Context, folder: Path, frames: range) -> Steps:
+    """`write` in steps of a tenth of a second, as far as Blender's own work on a frame allows; close it to cancel."""
+    scene = context.scene
+    if reason := engine.unusable():
+        raise SceneError(reason)
+    if relight.session(scene) is None:
+        raise SceneError(f"Scene '{scene.name}' has no bake; press Bake first.")
+    manifest = _manifest(scene, frames)
+    with _staged(folder) as stage, _frame_kept(scene):
+        yield from _write_images(context, stage, frames, manifest)
+        manifest["warnings"] += _leftovers(folder, stage)
+        _write_manifest(stage / MANIFEST, manifest)
+        _publish(stage, folder)
+    return manifest
+
+
+@contextlib.contextmanager
+def _staged(folder: Path):
+    """A hidden folder inside `folder`, to be emptied into it; gone afterwards, with what is left in it."""
+    made = not folder.exists()
+    stage = None
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        stage = Path(tempfile.mkdtemp(prefix=".lightpanes_", dir=folder))
+        yield stage
+    except OSError as error:
+        what = f"'{error.filename2 or folder}'" if stage is not None else f"folder '{folder}'"
+        raise SceneError(f"Can't write to {what}: {error.strerror}. Choose another folder.") from error
+    finally:
+        if stage is not None:
+            shutil.rmtree(stage, ignore_errors=True)
+        if made:
+            with contextlib.suppress(OSError):  # it holds what was written
+                folder.rmdir()
+
+
+@contextlib.contextmanager
+def _frame_kept(scene: bpy.types.Scene):
+    """Afterwards the scene is at its frame again, with the light that belongs there."""
+    frame, part = scene.frame_current, scene.frame_subframe
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ReferenceError):  # another file was opened meanwhile
+            if (scene.frame_current, scene.frame_subframe) != (frame, part):
+                scene.frame_set(frame, subframe=part)
+
+
+def _write_images(context, stage: Path, frames: range, manifest: dict) -> Steps:
+    """All that `manifest` names, and what it can't know beforehand."""
+    scene = context.scene
+    current = relight.session(scene)
+    yield Progress("Reading the bake", 0.0, 0)
+    warnings = _Warnings(context, current, frames)
+    direct = _direct(scene)
+    if direct is not None:
+        yield from (Progress("Direct light", 0.0, 0) for _ in exr.writing(stage / DIRECT, direct))
+        manifest["direct"] = DIRECT
+    shown, place = "", None
+    for number, entry in enumerate(manifest["frames"]):
+        former, place = place, stage / entry["file"]
+        if context.scene != scene or relight.session(scene) is not current:
+            raise SceneError(f"Scene '{scene.name}' was left, or its bake replaced or cleared, meanwhile; start again.")
+        scene.frame_set(entry["frame"])
+        # at once, for somebody may play the animation meanwhile
+        lights = warnings.look(entry["frame"])
+        yield Progress("Frames", number / len(frames), 0)
+        key = relight.lamp_key(lights)
+        if key == shown:
+            shutil.copyfile(former, place)
+        else:
+            shown, light = key, _irradiance(context, current, lights)
+            for part in exr.writing(place, light):
+                yield Progress("Frames", (number + part) / len(frames), 0)
+        yield Progress("Frames", (number + 1) / len(frames), 0)
+    manifest["warnings"] += warnings.sentences()
+
+
+def _irradiance(context, current: relight.Session, lights) -> np.ndarray:
+    """(H, W, 3) float32 of what `lightpanes.relight` would show; the image that the user sees is not touched."""
+    with relight.paused():
+        if current.relighter is None:
+            bake = store.load_bake(context.scene)
+            shapes = extract.extract(context, resolution=bake.resolution, albedo=False)
+            current.relighter = Relighter(bake.panes(), Tracer(shapes))
+        return current.relighter.relight(lights)[..., :3].copy()
+
+
+class _Warnings:
+    """Reads the lamps of each frame, and notes what changes that a bake can't follow."""
+
+    def __init__(self, context, current: relight.Session, frames: range):
+        self.context, self.current = context, current
+        self.baked = (store.read_meta(context.scene) or {}).get("fingerprint")
+        # hashing every mesh takes longer than a frame's light
+        self.sampled = {frames[0], frames[len(frames) // 2], frames[-1]}
+        self.found: dict[tuple, str] = {}
+        if not current.panes:
+            self.found["panes",] = "This bake has no live lamp, so all frames show the same light."
+
+    def look(self, frame: int) -> tuple[Light, ...]:
+        """The lamps that shine in this frame and are not baked in; those switched off from live count, too."""
+        shining = lamps.read_lights(self.context.evaluated_depsgraph_get(), [])
+        now = {light.name: relight.lamp_key([light]) for light in shining if light.name in self.current.static}
+        for name, key in self.current.static.items():
+            if now.get(name) != key:
+                self.found.setdefault(
+                    ("lamp", name),
+                    f"Lamp '{name}' is baked in: that it is another at frame {frame} does not show. Switch on Live in "
+                    "its own tab and bake again.",
+                )
+        if self.baked is not None and frame in self.sampled:
+            for name in extract.changed_objects(self.baked, extract.fingerprint(self.context)):
+                self.found.setdefault(
+                    ("object", name),
+                    f"'{name}' is not as it was baked at frame {frame}; the light around it stays as baked.",
+                )
+        return tuple(replace(light, live=True) for light in shining if light.name not in self.current.static)
+
+    def sentences(self) -> list[str]:
+        return list(self.found.values())
+
+
+def _manifest(scene, frames: range) -> dict:
+    """What an engine needs to know. Raises SceneError when the bake has no texture."""
+    image = store.find_image(scene, store.IRRADIANCE)
+    if image is None:
+        raise SceneError(f"The image '{store.IRRADIANCE}' has been deleted; bake again.")
+    placed = [item for item in scene.objects if "lightpanes_scale" in item and "lightpanes_offset" in item]
+    without = sorted(item.name for item in vertices.lit(scene))
+    names = ", ".join(f"'{name}'" for name in without)
+    if not placed:
+        raise SceneError(
+            f"No object of this bake has a texture ({names} lit at vertices). Set Light In to Texture in an object's "
+            "own tab and bake again."
+            if without
+            else "No object of this bake is left in the scene; bake again."
+        )
+    return {
+        "schema": SCHEMA,
+        "unit": "W/m²",
+        "quantity": "irradiance",
+        "color_space": "linear Rec.709",
+        "use": "outgoing radiance = albedo × (irradiance + direct) / π; atlas UV = UV × scale + offset, v = 0 below",
+        "uv_layer": nodes.UV_LAYER,
+        "resolution": list(image.size),
+        "fps": scene.render.fps / scene.render.fps_base,
+        "frames": [{"frame": frame, "file": _file_name(frame)} for frame in frames],
+        "direct": None,
+        "objects": [
+            {
+                "name": item.name,
+                "scale": [float(v) for v in item["lightpanes_scale"]],
+                "offset": [float(v) for v in item["lightpanes_offset"]],
+            }
+            for item in sorted(placed, key=lambda item: item.name)
+        ],
+        "without_texture": without,
+        "warnings": [f"Lit at their vertices, which images don't hold: {names}."] if without else [],
+    }
+
+
+def _file_name(frame: int) -> str:
+    """As Blender numbers a sequence."""
+    return f"irradiance_{'-' * (frame < 0)}{abs(frame):04d}.exr"
+
+
+def _direct(scene) -> np.ndarray | None:
+    """(H, W, 3) float32 of `Lightpanes Direct`, None where the bake holds none."""
+    image = store.find_image(scene, store.DIRECT)
+    if image is None:
+        return None
+    width, height = image.size
+    pixels = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(pixels)
+    return pixels.reshape(height, width, -1)[..., :3]
+
+
+def _leftovers(folder: Path, stage: Path) -> list[str]:
+    """A warning where images of an earlier run will lie among the new ones."""
+    new = {path.name for path in stage.iterdir()}
+    old = sorted(path.name for pattern in ("irradiance_*.exr", DIRECT) for path in folder.glob(pattern))
+    old = [name for name in old if name not in new]
+    if not old:
+        return []
+    others = f" and {len(old) - 1} more" if len(old) > 1 else ""
+    return [f"'{folder}' also holds '{old[0]}'{others} of an earlier run, which {MANIFEST} does not name."]
+
+
+def _write_manifest(place: Path, manifest: dict) -> None:
+    place.write_text(json.dumps(manifest, indent=2, ensure_ascii=False) + "\n", "utf-8")
+
+
+def _publish(stage: Path, folder: Path) -> None:
+    """Move the images into place, then the manifest that names them."""
+    for path in sorted(stage.iterdir(), key=lambda path: path.name == MANIFEST):
+        os.replace(path, folder / path.name)

@@ -1,0 +1,47 @@
+"""What a bake will take, said before it."""
+
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from lightpanes.addon import forecast, preflight, store  # noqa: E402
+
+from .mending import bakes  # noqa: E402
+
+
+def test_the_forecast_grows_with_what_is_asked(room):
+    def at(**settings):
+        for name, value in settings.items():
+            setattr(room.lightpanes, name, value)
+        return preflight.examine(bpy.context).forecast
+
+    coarse, fine = at(error_target=0.1), at(error_target=0.02)
+    assert coarse.seconds < fine.seconds and coarse.bytes < fine.bytes
+    small, large = at(error_target=0.05, resolution=128, exits="TEXELS"), at(resolution=512)
+    assert small.texels * 16 == pytest.approx(large.texels, rel=0.01) and small.points == 0
+    assert small.seconds < large.seconds and small.bytes < large.bytes
+    assert at(exits="POINTS").points > 0
+    assert at(time_budget=1.0).seconds == 1.0
+
+
+def test_the_forecast_learns_from_the_last_bake(room, quick):
+    assert bakes()
+    meta = store.read_meta(room)
+    report = meta["report"]
+    preflight.forget()
+    slow = preflight.examine(bpy.context).forecast.seconds
+    report["total_seconds"] /= 2
+    store.write_meta(room, meta)
+    assert preflight.examine(bpy.context).forecast.seconds <= slow
+    report.pop("budget")
+    store.write_meta(room, meta)
+    assert preflight.examine(bpy.context).forecast.seconds > 0
+
+
+def test_subdivision_counts(room):
+    plain = preflight.examine(bpy.context).forecast
+    modifier = bpy.data.objects["Block"].modifiers.new("Subdivision", "SUBSURF")
+    modifier.render_levels = 6
+    assert preflight.examine(bpy.context).forecast.bytes - plain.bytes == pytest.approx(
+        12 * (4**6 - 1) * forecast.IN_TRIANGLE
+    )

@@ -1,0 +1,202 @@
+"""A bake on a thread: the same result, cancelled at any moment, and whatever the user does meanwhile."""
+
+import time
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from lightpanes.addon import baking, job, relight, store  # noqa: E402
+from lightpanes.core.scene import SceneError  # noqa: E402
+
+from .test_operators import bake_state, everything  # noqa: E402
+
+pytestmark = pytest.mark.usefixtures("quick")
+
+
+@pytest.fixture(autouse=True)
+def ended():
+    yield
+    job.cancel()
+    while job.current() is not None and job.current().thread is not None:
+        time.sleep(0.01)
+    job._kept.clear()
+
+
+def drive(until=lambda progress: False, running=None):
+    """Advance a bake, a new one if none is given, until it has ended or its progress is as asked."""
+    running = running or job.start(bpy.context)
+    while not running.advance() and not until(running.progress):
+        time.sleep(0.002)
+    return running
+
+
+def stage(name):
+    return lambda progress: progress.stage == name
+
+
+STAGES = ["Atlas", "Surfaces", "Transport", "Lamps", "Panes", "Exits", "Storing"]
+
+
+def test_it_bakes_what_the_blocking_one_does(room):
+    baking.bake_scene(bpy.context)
+    images = {name: image.tobytes() for name, image in store.load_bake(room).images.items()}
+    bpy.ops.lightpanes.clear()
+    ended = drive()
+    assert ended.report["error"] < 0.5 and not ended.error and not job.running()
+    assert {name: image.tobytes() for name, image in store.load_bake(room).images.items()} == images
+    assert relight.session(room).relighter is not None and not relight.check_stale(bpy.context)
+
+
+def test_progress_never_goes_back_and_tells_time_and_error(room):
+    seen = []
+    drive(lambda progress: seen.append(progress))
+    fractions = [progress.fraction for progress in seen]
+    assert fractions == sorted(fractions)
+    assert seen[-1].stage == "Done"
+    assert any(progress.seconds_left is not None for progress in seen)
+    assert any(progress.error is not None and progress.error > 0 for progress in seen)
+    assert "M rays" in job.facts(seen[-2])
+
+
+@pytest.mark.parametrize("at", STAGES)
+def test_cancelled_at_any_stage_it_leaves_what_was_there(room, monkeypatch, at):
+    monkeypatch.setattr(job, "SLICE", 0.0)
+    baking.bake_scene(bpy.context)
+    state, names = bake_state(room), everything()
+    room.lightpanes.seed = 7
+    bpy.data.objects["Block"].scale.x *= 1.2
+    bpy.context.view_layer.update()
+    running = drive(stage(at))
+    assert running.progress.stage == at
+    running.cancel()
+    assert running.advance() and running.report is None and not running.error
+    assert bake_state(room) == state
+    assert everything() == names
+
+
+def test_a_second_press_goes_on_from_there(room):
+    whole = baking.bake_scene(bpy.context)
+    images = {name: image.tobytes() for name, image in store.load_bake(room).images.items()}
+    bpy.ops.lightpanes.clear()
+    drive(stage("Exits")).cancel()
+    again = drive()
+    assert again.report["rays"] < 0.7 * whole["rays"]
+    assert {name: image.tobytes() for name, image in store.load_bake(room).images.items()} == images
+
+
+def test_one_bake_at_a_time(room):
+    running = drive(stage("Lamps"))
+    assert not bpy.ops.lightpanes.bake.poll() and not bpy.ops.lightpanes.clear.poll()
+    with pytest.raises(SceneError, match="A bake is running"):
+        job.start(bpy.context)
+    assert bpy.ops.lightpanes.cancel() == {"FINISHED"}
+    assert running.ended and not bpy.ops.lightpanes.cancel.poll()
+    assert drive().report is not None
+
+
+def test_an_object_deleted_meanwhile(room):
+    running = drive(stage("Transport"))
+    bpy.data.objects.remove(bpy.data.objects["Block"])
+    drive(running=running)
+    assert running.report is not None
+    assert relight.check_stale(bpy.context) == ("'Block' was deleted or hidden since the bake; bake again.",)
+
+
+def test_an_object_deleted_while_it_is_read(room):
+    running = job.start(bpy.context)
+    while not running.progress.fraction:
+        running.advance()
+    bpy.data.meshes.remove(bpy.data.objects["Block"].data)
+    drive(running=running)
+    assert running.report is None and running.error == "The scene changed while it was read: bake again."
+    assert not [name for name in everything()["properties"] if "lightpanes" in name[1]]
+
+
+def test_an_object_moved_meanwhile_is_stale(room):
+    running = drive(stage("Transport"))
+    bpy.data.objects["Block"].location.x += 0.3
+    bpy.context.view_layer.update()
+    drive(running=running)
+    assert running.report is not None
+    assert relight.check_stale(bpy.context) == ("'Block' was moved or edited since the bake; bake again.",)
+
+
+def test_a_mesh_edited_meanwhile(room):
+    running = drive(stage("Transport"))
+    mesh = bpy.data.objects["Block"].data
+    mesh.clear_geometry()
+    mesh.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
+    before = everything()
+    drive(running=running)
+    assert running.report is None and "was edited while the bake ran" in running.error
+    assert everything() == before
+
+
+def test_renamed_meanwhile(room):
+    running = drive(stage("Transport"))
+    bpy.data.objects["Block"].name = "Crate"
+    room.name = "Set"
+    drive(running=running)
+    assert running.report is not None and store.load_bake(bpy.context.scene) is not None
+    assert "lightpanes_scale" in bpy.data.objects["Crate"]
+
+
+def test_a_lamp_moved_meanwhile_shows(room):
+    running = drive(stage("Transport"))
+    lamp = bpy.data.objects["Lamp"]
+    lamp.location.x += 0.4
+    bpy.context.view_layer.update()
+    drive(running=running)
+    shown = np.array(store.find_image(room, store.IRRADIANCE).pixels)
+    relight.relight(bpy.context)
+    assert np.array_equal(shown, np.array(store.find_image(room, store.IRRADIANCE).pixels)) and shown.max() > 0
+
+
+def test_another_scene_on_the_screen(room):
+    running = drive(stage("Transport"))
+    bpy.ops.scene.new(type="EMPTY")
+    other = bpy.context.scene
+    drive(running=running)
+    assert running.report is not None
+    assert store.load_bake(other) is None and store.load_bake(bpy.data.scenes[room.name]) is not None
+
+
+def test_the_scene_deleted_meanwhile(room):
+    running = drive(stage("Transport"))
+    bpy.ops.scene.new(type="EMPTY")
+    bpy.data.scenes.remove(room)
+    drive(running=running)
+    assert running.report is None and running.error == "The scene was deleted while it was baked."
+
+
+@pytest.mark.parametrize("at", ["Atlas", "Transport"])
+def test_another_file_loaded_meanwhile(room, tmp_path, at):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
+    running = drive(stage(at))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room.blend"))
+    assert running.ended and running.report is None and not running.error
+    assert store.load_bake(bpy.context.scene) is None
+    assert drive().report is not None
+
+
+def test_undo_meanwhile(room):
+    bpy.ops.ed.undo_push(message="Before")
+    bpy.data.objects["Block"].location.z += 0.2
+    bpy.ops.ed.undo_push(message="Moved")
+    running = drive(stage("Transport"))
+    bpy.ops.ed.undo()
+    drive(running=running)
+    assert running.report is not None
+    assert relight.check_stale(bpy.context) == ("'Block' was moved or edited since the bake; bake again.",)
+
+
+def test_undo_while_the_scene_is_read_cancels(room):
+    bpy.ops.ed.undo_push(message="Before")
+    bpy.data.objects["Block"].location.z += 0.2
+    bpy.ops.ed.undo_push(message="Moved")
+    running = drive(lambda progress: progress.fraction > 0)
+    bpy.ops.ed.undo()
+    assert running.ended and not running.error
+    assert not [name for name in everything()["properties"] if "lightpanes" in name[1]]

@@ -1,0 +1,87 @@
+"""A cancelled bake goes on where it ended, and ends the same."""
+
+import numpy as np
+import pytest
+from lightpanes.core.bake import Cancelled, Kept, bake
+from lightpanes.core.bake.kept import digest
+
+from .shapes import lamp, quick, room
+
+
+def made():
+    return room(lights=[lamp((1, 1, 2))])
+
+
+def same(one, other) -> bool:
+    return all(np.array_equal(one.images[name], other.images[name]) for name in one.images)
+
+
+def cancel_at(stage: str, part: float, seen: list):
+    """A progress callback that cancels once a part of a stage is done."""
+    begin = {}
+
+    def progress(now):
+        seen.append((now.stage, now.rays))
+        if now.stage == stage and now.fraction - begin.setdefault(stage, now.fraction) >= part:
+            raise Cancelled
+
+    return progress
+
+
+@pytest.mark.parametrize("exits", ["texels", "points", "atlas"])
+def test_a_bake_in_several_goes(exits):
+    settings = quick(exits=exits, points=4000, point_rays=64, resolution=384, exit_rays=32)
+    whole = bake(made(), settings)
+    kept = Kept()
+    goes = [("Transport", 0.01), ("Lamps", 0.01), ("Exits", 0.02), ("Exits", 0.02), ("Check", 0.0)]
+    for stage, part in goes:
+        with pytest.raises(Cancelled):
+            bake(made(), settings, cancel_at(stage, part, []), kept)
+    seen = []
+    again = bake(made(), settings, lambda now: seen.append((now.stage, now.rays)), kept)
+    assert same(whole, again)
+    # all rays but those of the check had been traced
+    assert seen[-1][1] < 0.3 * whole.meta["report"]["rays"]
+    assert not kept.parts
+
+
+def test_what_is_kept_belongs_to_one_scene_and_its_settings():
+    kept = Kept()
+    with pytest.raises(Cancelled):
+        bake(made(), quick(), cancel_at("Exits", 0.0, []), kept)
+    assert "prepared" in kept.parts
+    other = room(lights=[lamp((2, 1, 2))])
+    assert same(bake(other, quick(), kept=kept), bake(other, quick()))
+    with pytest.raises(Cancelled):
+        bake(made(), quick(), cancel_at("Exits", 0.0, []), kept)
+    assert same(bake(made(), quick(seed=3), kept=kept), bake(made(), quick(seed=3)))
+
+
+def test_an_error_leaves_nothing():
+    """It may have come in the middle of a chunk, half of whose rays are counted."""
+    kept = Kept()
+
+    def fail(now):
+        if now.stage == "Exits":
+            raise ValueError("broken")
+
+    with pytest.raises(ValueError, match="broken"):
+        bake(made(), quick(), fail, kept)
+    assert not kept.parts
+
+
+def test_a_time_budget_keeps_nothing():
+    kept = Kept()
+    with pytest.raises(Cancelled):
+        bake(made(), quick(time_budget=60.0), cancel_at("Exits", 0.0, []), kept)
+    assert not kept.parts
+
+
+def test_a_digest_sees_each_number():
+    scene = made()
+    first = digest(scene, quick())
+    assert digest(made(), quick()) == first
+    assert digest(scene, quick(seed=1)) != first
+    moved = made()
+    moved.positions[3, 1] += 1e-4
+    assert digest(moved, quick()) != first
