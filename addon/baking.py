@@ -6,12 +6,13 @@ back. While core works the scene is as it was before, so that whatever ends the 
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Generator
 
 import bpy
 
-from ..core.bake import Kept, Progress, Settings, bake
+from ..core.bake import Cancelled, Kept, Progress, Settings, bake
 from ..core.panes import Relighter
 from ..core.rays import Tracer
 from ..core.scene import SceneError
@@ -61,6 +62,10 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         making = atlas.atlas_steps(context, objects, settings.resolution, at_vertices)
         warnings += yield from mapped(making, lambda part: Progress("Atlas", ATLAS * part, 0))
         yield Progress("Reading the scene", ATLAS, 0)
+        for item in objects:
+            # subdivision waits until somebody asks for the mesh
+            _ = item.evaluated_get(context.evaluated_depsgraph_get()).data
+            yield Progress("Reading the scene", ATLAS, 0)
         with relight.paused():
             surfaces = extract.extract(context, resolution=settings.resolution, loops=loops)
         found = extract.fingerprint(context)
@@ -88,6 +93,7 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
     report["warnings"] = warnings + [w for w in report.get("warnings", []) if w not in warnings]
     result.meta["static"] = {lamp.name: relight.lamp_key([lamp]) for lamp in surfaces.lights if not lamp.live}
     points.remember(result, surfaces)
+    yield Progress("Storing", 0.98, report["rays"])
     # again: undo may have brought back an older one
     before = Snapshot(scene, [item for item in scene.objects if item.type == "MESH" and store.TAG not in item])
     try:
@@ -105,6 +111,9 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         late = {name: found.get(name, "") for name in extract.changed_objects(found, now) if name in found}
         result.meta["fingerprint"] = extract.fingerprint(context) | late
         store.write_meta(scene, result.meta)
+    with contextlib.suppress(Cancelled):
+        # too late: the new bake is in place
+        yield Progress("Storing", 0.99, report["rays"])
     report["relight_ms"] = round(relight.relight(context), 2)
     report["total_seconds"] = round(time.perf_counter() - start, 3)
     relight.pack()

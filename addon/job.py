@@ -96,18 +96,17 @@ class Job:
                 self.progress = step
 
     def cancel(self) -> None:
-        """End it now; what was there before stays."""
+        """End it now; what was there before stays. Where the new bake is in place already, it is finished."""
         if not self.ended:
             self._fail(Cancelled())
 
     def _fail(self, error: BaseException) -> None:
-        """Let the steps put back what they changed."""
+        """Let the steps put back what they changed; those that say that it is too late for that go on."""
         try:
             with self._in_its_scene():
-                self.steps.throw(error)
+                self.progress = self.steps.throw(error)
         except BaseException as raised:
-            error = raised
-        self._end(error)
+            self._end(raised)
 
     def _end(self, error: BaseException) -> None:
         self.ended = True

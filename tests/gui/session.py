@@ -1,7 +1,8 @@
 """Runs inside Blender's window: a person's session with mouse and keyboard, and what came of it as JSON.
 
-The variable LIGHTPANES_OUT names the folder for pictures and `session.json`, LIGHTPANES_FILE the .blend to open. Mouse and
-keys come from xdotool, pictures from ImageMagick's import: both see what a person at the screen does.
+The variable LIGHTPANES_OUT names the folder for pictures and `session.json`, LIGHTPANES_FILE the .blend to open,
+LIGHTPANES_RESOLUTION that of the atlas. Mouse and keys come from xdotool, pictures from ImageMagick's import: both see
+what a person at the screen does.
 """
 
 import json
@@ -16,6 +17,7 @@ import numpy as np
 
 OUT = Path(os.environ["LIGHTPANES_OUT"])
 FILE = os.environ["LIGHTPANES_FILE"]
+RESOLUTION = int(os.environ["LIGHTPANES_RESOLUTION"])
 TICK = 0.01
 """Seconds between two looks at the main thread, whose gaps are what a person feels as a stall."""
 HEADER = 71, 114, 179
@@ -118,7 +120,7 @@ def steps():
     panel, view = area("PROPERTIES"), area("VIEW_3D")
     panel.spaces[0].context = "RENDER"
     panel.spaces[0].search_filter = "Lightpanes"
-    scene.lightpanes.resolution = 128
+    scene.lightpanes.resolution = RESOLUTION
     space = view.spaces[0]
     space.region_3d.view_perspective = "CAMERA"
     space.overlay.show_overlays = False
@@ -130,7 +132,8 @@ def steps():
     watch = Watch("bake")
     bpy.app.timers.register(watch)
     yield from press_bake()
-    yield from until(lambda: job.current().progress.fraction > 0.2)
+    yield from until(lambda: job.current().ended or job.current().progress.fraction > 0.2)
+    assert not job.current().error, job.current().error
     shot("progress")
     yield from until(lambda: not job.running(), 300)
     bpy.app.timers.unregister(watch)
@@ -174,7 +177,7 @@ def steps():
         watch = Watch(f"cancelled at {stage}")
         bpy.app.timers.register(watch)
         yield from press_bake()
-        yield from until(lambda stage=stage: job.current().progress.stage == stage, 60)
+        yield from until(lambda stage=stage: job.current().ended or job.current().progress.stage == stage, 200)
         begin = time.perf_counter()
         xdotool("key", "Escape")
         yield from until(lambda: not job.running(), 20)

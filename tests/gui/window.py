@@ -15,7 +15,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 SESSION = Path(__file__).with_name("session.py")
-SECONDS = 420
+SECONDS = 560
 
 
 def missing() -> str:
@@ -30,7 +30,7 @@ def missing() -> str:
     return f"no {gone[0]}" if gone else ""
 
 
-def session(folder: Path, archive: Path, sample: str = "cornell") -> dict:
+def session(folder: Path, archive: Path, sample: str = "cornell", resolution: int = 128) -> dict:
     """What `session.py` found in this sample; its pictures are in the folder. archive: the extension's zip."""
     for file in (SESSION, archive, ROOT / "sample_blends" / f"{sample}.blend"):
         if file.parent != folder:
@@ -46,6 +46,7 @@ def session(folder: Path, archive: Path, sample: str = "cornell") -> dict:
         "LIGHTPANES_OUT": str(folder),
         "LIGHTPANES_ZIP": str(folder / archive.name),
         "LIGHTPANES_FILE": str(folder / f"{sample}.blend"),
+        "LIGHTPANES_RESOLUTION": str(resolution),
     }
     done = subprocess.run(
         [str(word) for word in words],
