@@ -28,7 +28,7 @@ def cancel_at(stage: str, part: float, seen: list):
     return progress
 
 
-@pytest.mark.parametrize("exits", ["texels", "points", "atlas"])
+@pytest.mark.parametrize("exits", ["texels", "points"])
 def test_a_bake_in_several_goes(exits):
     settings = quick(exits=exits, points=4000, point_rays=64, resolution=384, exit_rays=32)
     whole = bake(made(), settings)
