@@ -11,7 +11,7 @@ from bpy.props import IntProperty, StringProperty
 
 from ..core.bake import BakeError, Progress
 from ..core.scene import SceneError
-from . import job, sequence
+from . import job, relight, sequence
 from .console import ConsoleProgress
 
 SLICE = 0.1
@@ -133,7 +133,7 @@ class LIGHTPANES_OT_bake_animation(bpy.types.Operator):
         context.window_manager.event_timer_remove(self._timer)
         self._tell.__exit__()
         context.workspace.status_text_set(None)
-        _redraw_panels()
+        relight.redraw_panel()
 
     def _asked(self, context) -> tuple[Path, range]:
         given = [
@@ -147,20 +147,13 @@ class LIGHTPANES_OT_bake_animation(bpy.types.Operator):
         _fraction = step.fraction
         self._tell(step)
         context.workspace.status_text_set(f"Writing the baked light: {100 * step.fraction:.0f} %   Esc: stop")
-        _redraw_panels()
+        relight.redraw_panel()
 
     def _done(self, manifest: dict):
         for warning in manifest["warnings"]:
             self.report({"WARNING"}, warning)
         self.report({"INFO"}, f"Wrote {len(manifest['frames'])} frames to '{sequence.folder_of(self.directory)}'")
         return {"FINISHED"}
-
-
-def _redraw_panels() -> None:
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "PROPERTIES":
-                area.tag_redraw()
 
 
 def register() -> None:

@@ -15,6 +15,7 @@ from bpy.app.handlers import persistent
 
 from ..core.bake import Cancelled, Kept, Progress
 from ..core.scene import SceneError
+from . import figures, handlers
 from .work import Work
 
 SLICE = 0.03
@@ -193,17 +194,12 @@ def facts(progress: Progress) -> str:
     """Time left, rays and error as far as they are known."""
     parts = []
     if progress.seconds_left is not None:
-        parts.append(f"{_duration(progress.seconds_left)} left")
+        parts.append(f"{figures.duration(progress.seconds_left)} left")
     if progress.rays:
         parts.append(f"{progress.rays / 1e6:.1f} M rays")
     if progress.error is not None:
-        parts.append(f"error from {100 * progress.error:.1f} %")
+        parts.append(f"error from {figures.percent(progress.error)}")
     return ", ".join(parts)
-
-
-def _duration(seconds: float) -> str:
-    whole = max(int(seconds + 0.5), 1)
-    return f"{whole} s" if whole < 60 else f"{whole // 60} min {whole % 60} s"
 
 
 @persistent
@@ -222,13 +218,9 @@ HANDLERS = {"load_pre": _on_load, "undo_pre": _on_undo, "redo_pre": _on_undo}
 
 
 def register() -> None:
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).append(handler)
+    handlers.add(HANDLERS)
 
 
 def unregister() -> None:
     cancel()
-    for event, handler in HANDLERS.items():
-        handlers = getattr(bpy.app.handlers, event)
-        if handler in handlers:
-            handlers.remove(handler)
+    handlers.remove(HANDLERS)

@@ -19,10 +19,10 @@ UV_LAYER = "Lightpanes"
 DEFAULT_MATERIAL = "Lightpanes Default"
 NODE_TAG = "lightpanes"
 
-_NO_NODES = "lightpanes_no_nodes"
+NO_NODES = "lightpanes_no_nodes"
 _SLOT = "lightpanes_slot"
 _SAMPLING = "lightpanes_sampling"
-_FORMER = "lightpanes_former"
+FORMER = "lightpanes_former"
 _GROUP = "lightpanes_group"
 
 
@@ -199,7 +199,7 @@ def _use_nodes(material):
     color = tuple(material.diffuse_color)
     fresh = material.node_tree is None or not material.node_tree.nodes
     material.use_nodes = True
-    material[_NO_NODES] = 1
+    material[NO_NODES] = 1
     if fresh:
         shader = next((n for n in material.node_tree.nodes if n.type == "BSDF_PRINCIPLED"), None)
         if shader is not None:
@@ -256,7 +256,7 @@ def _add_pair(material, target: str, group, like):
     output.target = target
     output.label = GROUP
     if former is not None:
-        output[_FORMER] = former.name
+        output[FORMER] = former.name
         drop = 180 if target == "EEVEE" else 340
         node.location = (former.location.x, former.location.y - drop)
         output.location = (former.location.x + 200, former.location.y - drop)
@@ -281,7 +281,7 @@ def _remove_pair(material, target: str):
     if pair is None:
         return
     node, output = pair
-    former = tree.nodes.get(output.get(_FORMER, ""))
+    former = tree.nodes.get(output.get(FORMER, ""))
     if _SAMPLING in node:
         material.cycles.emission_sampling = node[_SAMPLING]
     tree.nodes.remove(output)
@@ -295,8 +295,8 @@ def _detach_material(material):
         _remove_pair(material, target)
     for node in [node for node in material.node_tree.nodes if _is_ours(node)]:
         material.node_tree.nodes.remove(node)
-    if _NO_NODES in material:
-        del material[_NO_NODES]
+    if NO_NODES in material:
+        del material[NO_NODES]
         material.use_nodes = False
 
 

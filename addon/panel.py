@@ -9,7 +9,7 @@ from functools import lru_cache
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from . import animation, engine, job, obstacles, preflight, relight, store, vertices
+from . import animation, engine, figures, job, obstacles, preflight, relight, store, vertices
 
 MOST_OBSTACLES = 8
 MOST_LAMPS = 24
@@ -74,8 +74,8 @@ def _draw_preflight(layout, context, found):
         _fact(box, "Objects", _objects(found))
         _fact(box, "Light At", _places(found.forecast))
         _fact(box, "Lamps", _lamps(found))
-        _fact(box, "Time", f"~ {duration(found.forecast.seconds)}")
-        _fact(box, "Memory", f"~ {size(found.forecast.bytes)}")
+        _fact(box, "Time", f"~ {figures.duration(found.forecast.seconds)}")
+        _fact(box, "Memory", f"~ {figures.size(found.forecast.bytes)}")
     for obstacle in found.obstacles[:MOST_OBSTACLES]:
         part = box.column(align=True)
         part.separator()
@@ -180,11 +180,11 @@ class LIGHTPANES_PT_results(_SubPanel, bpy.types.Panel):
             _sentence(column, context, "The bake is damaged; bake again.", "ERROR")
             return
         if report.get("error") is not None:
-            _fact(column, "Error", percent(report["error"]))
+            _fact(column, "Error", figures.percent(report["error"]))
             for name, value in report.get("error_parts", {}).items():
-                _fact(column, ERROR_PARTS.get(name, name), percent(value), part=True)
-        _fact(column, "Time", duration(report.get("total_seconds", 0)))
-        _fact(column, "Size", size(report.get("bytes", 0)))
+                _fact(column, ERROR_PARTS.get(name, name), figures.percent(value), part=True)
+        _fact(column, "Time", figures.duration(report.get("total_seconds", 0)))
+        _fact(column, "Size", figures.size(report.get("bytes", 0)))
         _fact(column, "Rays", f"{report.get('rays', 0) / 1e6:.1f} M")
         if current.milliseconds:
             _fact(column, "Last Relight", f"{current.milliseconds:.1f} ms")
@@ -240,7 +240,7 @@ class LIGHTPANES_PT_debug(_SubPanel, bpy.types.Panel):
                 _fact(column, label, f"{report[key]:,}")
         column = layout.column(align=True)
         for stage, seconds in report.get("stages", {}).items():
-            _fact(column, stage, duration(seconds))
+            _fact(column, stage, figures.duration(seconds))
 
 
 class LIGHTPANES_PT_object(_Panel, bpy.types.Panel):
@@ -305,27 +305,6 @@ def _sentence(layout, context, text: str, icon: str):
     width = max(24, int(context.region.width / (7.5 * context.preferences.system.ui_scale)) - 6)
     for number, line in enumerate(textwrap.wrap(text, width)):
         layout.label(text=line, icon=icon if number == 0 else "BLANK1", translate=False)
-
-
-def duration(seconds: float) -> str:
-    """As people say it: 0.4 s, 12 s, 3 min 20 s."""
-    if seconds < 10:
-        return f"{seconds:.1f} s"
-    whole = int(seconds + 0.5)
-    return f"{whole} s" if whole < 60 else f"{whole // 60} min {whole % 60} s"
-
-
-def size(count: float) -> str:
-    """Bytes in the unit that suits."""
-    for unit in ("B", "KB", "MB"):
-        if count < 1000:
-            return f"{count:.0f} {unit}"
-        count /= 1000
-    return f"{count:.1f} GB"
-
-
-def percent(value: float) -> str:
-    return f"{100 * value:.1f} %"
 
 
 CLASSES = (

@@ -13,7 +13,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..core.scene import SceneError
-from . import obstacles, relight, store, twice
+from . import handlers, obstacles, relight, store, twice
 from .forecast import Forecast, predict
 from .obstacles import ERROR, Facts, Obstacle
 
@@ -157,15 +157,11 @@ HANDLERS = {
 
 
 def register() -> None:
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).append(handler)
+    handlers.add(HANDLERS)
 
 
 def unregister() -> None:
-    for event, handler in HANDLERS.items():
-        handlers = getattr(bpy.app.handlers, event)
-        if handler in handlers:
-            handlers.remove(handler)
+    handlers.remove(HANDLERS)
     if bpy.app.timers.is_registered(relight.redraw_panel):
         bpy.app.timers.unregister(relight.redraw_panel)
     forget()

@@ -10,6 +10,8 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
+from . import handlers
+
 MODES = ("CHANNEL_PACKED", "NONE", "STRAIGHT", "PREMUL")
 
 # Image's session_uid → alpha mode in which the last render has read it.
@@ -41,13 +43,9 @@ HANDLERS = {"render_post": _on_rendered, "render_cancel": _on_rendered, "load_po
 
 
 def register() -> None:
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).append(handler)
+    handlers.add(HANDLERS)
 
 
 def unregister() -> None:
-    for event, handler in HANDLERS.items():
-        handlers = getattr(bpy.app.handlers, event)
-        if handler in handlers:
-            handlers.remove(handler)
+    handlers.remove(HANDLERS)
     _rendered.clear()

@@ -20,7 +20,7 @@ from ..core.bake import BakeError
 from ..core.panes import Relighter
 from ..core.rays import Tracer
 from ..core.scene import Light, SceneError
-from . import engine, extract, lamps, meshes, overlay, points, store, vertices, visibility
+from . import engine, extract, handlers, lamps, meshes, overlay, points, store, vertices, visibility
 
 
 @dataclass
@@ -236,7 +236,7 @@ def lamp_key(lights: Iterable[Light]) -> str:
 
 
 def _apply(context, scene, current: Session, lights):
-    relighter = _relighter(context, scene, current)
+    relighter = relighter_of(context, current)
     begin = time.perf_counter()
     light = relighter.light(lights)
     if relighter.panes.shown is not None:
@@ -252,7 +252,12 @@ def _apply(context, scene, current: Session, lights):
         raise SceneError(" ".join(told))
 
 
-def _relighter(context, scene, current: Session) -> Relighter:
+def relighter_of(context: bpy.types.Context, current: Session) -> Relighter:
+    """The session's relighter, made from the bake and the meshes in the .blend where there is none yet.
+
+    Raises SceneError where these can't be used.
+    """
+    scene = context.scene
     if current.relighter is None:
         shown = visibility.rendered_objects(context.view_layer)
         if not any(item.type in extract.GEOMETRY and store.TAG not in item for item in shown):
@@ -392,15 +397,11 @@ HANDLERS = {
 
 
 def register() -> None:
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).append(handler)
+    handlers.add(HANDLERS)
 
 
 def unregister() -> None:
-    for event, handler in HANDLERS.items():
-        handlers = getattr(bpy.app.handlers, event)
-        if handler in handlers:
-            handlers.remove(handler)
+    handlers.remove(HANDLERS)
     for timer in (_update_later, _stale_later):
         if bpy.app.timers.is_registered(timer):
             bpy.app.timers.unregister(timer)

@@ -22,8 +22,6 @@ import numpy as np
 
 from ..core import exr
 from ..core.bake import Progress
-from ..core.panes import Relighter
-from ..core.rays import Tracer
 from ..core.scene import Light, SceneError
 from . import engine, extract, lamps, nodes, relight, store, vertices
 from .work import run
@@ -150,11 +148,7 @@ def _write_images(context, stage: Path, frames: range, manifest: dict) -> Steps:
 def _irradiance(context, current: relight.Session, lights) -> np.ndarray:
     """(H, W, 3) float32 of what `lightpanes.relight` would show; the image that the user sees is not touched."""
     with relight.paused():
-        if current.relighter is None:
-            bake = store.load_bake(context.scene)
-            shapes = extract.extract(context, resolution=bake.resolution, albedo=False)
-            current.relighter = Relighter(bake.panes(), Tracer(shapes))
-        return current.relighter.relight(lights)[..., :3].copy()
+        return relight.relighter_of(context, current).relight(lights)[..., :3].copy()
 
 
 class _Warnings:

@@ -9,15 +9,12 @@ from __future__ import annotations
 import bpy
 
 from . import environment
-
-TAG = "lightpanes"
-_NO_NODES = "lightpanes_no_nodes"
-_FORMER = "lightpanes_former"
+from .nodes import FORMER, NO_NODES, NODE_TAG
 
 
 def is_hidden(world: bpy.types.World) -> bool:
     """Whether our nodes are in the world."""
-    return world.node_tree is not None and any(TAG in node for node in world.node_tree.nodes)
+    return world.node_tree is not None and any(NODE_TAG in node for node in world.node_tree.nodes)
 
 
 def shines(world: bpy.types.World | None) -> bool:
@@ -69,14 +66,14 @@ def give_back(world: bpy.types.World | None) -> None:
     if world is None or world.library is not None or world.node_tree is None:
         return
     nodes = world.node_tree.nodes
-    ours = [node for node in nodes if TAG in node]
-    former = [name for node in ours if (name := node.get(_FORMER, "")) in nodes]
+    ours = [node for node in nodes if NODE_TAG in node]
+    former = [name for node in ours if (name := node.get(FORMER, "")) in nodes]
     for node in ours:
         nodes.remove(node)
     for name in former:
         nodes[name].is_active_output = True
-    if _NO_NODES in world:
-        del world[_NO_NODES]
+    if NO_NODES in world:
+        del world[NO_NODES]
         world.use_nodes = False
 
 
@@ -89,7 +86,7 @@ def _plain(world) -> bpy.types.NodeSocket:
     """Give nodes to a world that is one colour; returns what shines with it, which Cycles goes on showing."""
     color = tuple(world.color)
     world.use_nodes = True
-    world[_NO_NODES] = 1
+    world[NO_NODES] = 1
     background, output = (_node(world.node_tree, kind) for kind in ("ShaderNodeBackground", "ShaderNodeOutputWorld"))
     background.inputs["Color"].default_value = (*color, 1.0)
     output.target = "CYCLES"
@@ -101,14 +98,14 @@ def _plain(world) -> bpy.types.NodeSocket:
 def _activate(output, former) -> None:
     """Let the engine read this output; one that is for this engine alone wins over one that is for all."""
     if former is not None and output.id_data.get_output_node(output.target) != output:
-        output[_FORMER] = former.name
+        output[FORMER] = former.name
         output.is_active_output = True
 
 
 def _node(tree, kind: str) -> bpy.types.Node:
     active = tree.nodes.active
     node = tree.nodes.new(kind)
-    node[TAG] = 1
+    node[NODE_TAG] = 1
     node.select = False
     tree.nodes.active = active
     return node

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
+from .stage import ROOT
 
 # Blender's name of a system → the newest wheel tags that its users can be expected to load.
 PLATFORMS = {

@@ -37,6 +37,11 @@ class Kept:
         self.key = b""
         self.parts = {}
 
+    def drop(self, *names: str) -> None:
+        """Forget parts that another one holds by now."""
+        for name in names:
+            self.parts.pop(name, None)
+
     def part(self, name: str, make: Callable[[], T]) -> T:
         """What `make` returned when it first finished."""
         if name not in self.parts:

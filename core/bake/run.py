@@ -54,6 +54,7 @@ def bake(
 def _bake(scene, settings, clock, kept):
     # a copy: what follows changes it
     made = replace(kept.part("prepared", lambda: prepare(scene, settings, clock, kept)))
+    kept.drop("transport", "lamps")
     seed = settings.seed
     parts = {}
     if made.test_direct is not None:

@@ -179,8 +179,8 @@ class Interpolator:
         return seen | (np.einsum("nd,nd->n", apart, apart) <= self.offset**2)
 
     def _affine(self, weight, names, places):
-        """(q, k) weights that come closer to what changes evenly over the surface (moving least squares, eased where points lie in a
-        line)."""
+        """(q, k) weights that come closer to what changes evenly over the surface (moving least squares, eased where
+        points lie in a line)."""
         apart = self.points.position[names] - places.position[:, None]
         tangent, bitangent = frame(places.normal)
         scale = 1 / self.points.radius[names[:, 0]]

@@ -6,7 +6,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from lightpanes.addon import engine, job, panel, preflight, store  # noqa: E402
+from lightpanes.addon import engine, figures, job, panel, preflight, store  # noqa: E402
 
 from .drawing import Context, draw, paragraph, texts, value  # noqa: E402
 
@@ -82,7 +82,7 @@ def test_after_a_bake(room, quick):
     assert value(drawn, "Error") == f"{100 * report['error']:.1f} %"
     for name, part in report["error_parts"].items():
         assert value(drawn, panel.ERROR_PARTS[name]) == f"{100 * part:.1f} %"
-    assert value(drawn, "Size") == panel.size(report["bytes"])
+    assert value(drawn, "Size") == figures.size(report["bytes"])
     assert value(drawn, "Rays") == f"{report['rays'] / 1e6:.1f} M"
     assert value(drawn, "Last Relight").endswith(" ms")
     for warning in report["warnings"]:
@@ -140,5 +140,5 @@ def test_no_lamps(room):
 
 
 def test_numbers_as_people_write_them():
-    assert [panel.duration(s) for s in (0.04, 9.94, 12.4, 200)] == ["0.0 s", "9.9 s", "12 s", "3 min 20 s"]
-    assert [panel.size(n) for n in (12, 3400, 71.9e6, 2.34e9)] == ["12 B", "3 KB", "72 MB", "2.3 GB"]
+    assert [figures.duration(s) for s in (0.04, 9.94, 12.4, 200)] == ["0.0 s", "9.9 s", "12 s", "3 min 20 s"]
+    assert [figures.size(n) for n in (12, 3400, 71.9e6, 2.34e9)] == ["12 B", "3 KB", "72 MB", "2.3 GB"]

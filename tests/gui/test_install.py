@@ -5,19 +5,16 @@ the folder that it runs in.
 """
 
 import os
-import shutil
 import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
-BLENDER = os.environ.get("BLENDER") or shutil.which("blender")
+from . import window
+
+BLENDER = window.blender()
 
 pytestmark = pytest.mark.skipif(not BLENDER, reason="no Blender: put it on PATH, or name it in the variable BLENDER")
 
-SAY_PYTHON = "import sys; print('python', *sys.version_info[:2], sep='.')"
 MAKE_ROOM = """
 import bpy
 bpy.ops.wm.read_homefile(use_empty=True)
@@ -57,14 +54,7 @@ def run(folder, *arguments):
 @pytest.fixture(scope="module")
 def archive(folder):
     """The zip for this system and Blender's own Python."""
-    said = run(folder, "--background", "--factory-startup", "--python-expr", SAY_PYTHON)
-    python = next(line.removeprefix("python.") for line in said.splitlines() if line.startswith("python."))
-    system = {"linux": "linux-x64", "win32": "windows-x64", "darwin": "macos-arm64"}[sys.platform]
-    command = [sys.executable, "-m", "package", "--platform", system, "--python", python, "--output", folder]
-    built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
-    assert built.returncode == 0, built.stdout + built.stderr
-    [made] = folder.glob("*.zip")
-    return made
+    return window.build(folder, window.python_of_blender(folder))
 
 
 def test_install_file(folder, archive):

@@ -18,11 +18,16 @@ SESSION = Path(__file__).with_name("session.py")
 SECONDS = 560
 
 
+def blender() -> str | None:
+    """The Blender to test with."""
+    return os.environ.get("BLENDER") or shutil.which("blender")
+
+
 def missing() -> str:
     """Why there can be no window here; empty where there can."""
     if os.environ.get("BLENDER_WINDOW"):
         return ""
-    if not (os.environ.get("BLENDER") or shutil.which("blender")):
+    if not blender():
         return "no Blender: put it on PATH, or name it in the variable BLENDER"
     if not os.environ.get("DISPLAY"):
         return "no display"
@@ -39,8 +44,7 @@ def session(folder: Path, archive: Path, sample: str = "cornell", resolution: in
     if command := os.environ.get("BLENDER_WINDOW"):
         words = [*shlex.split(command), script, picture, SECONDS]
     else:
-        blender = os.environ.get("BLENDER") or shutil.which("blender")
-        words = [blender, "--factory-startup", "--window-geometry", "0", "0", "1280", "800", "-P", script]
+        words = [blender(), "--factory-startup", "--window-geometry", "0", "0", "1280", "800", "-P", script]
     environment = {
         **os.environ,
         "LIGHTPANES_OUT": str(folder),
@@ -69,9 +73,8 @@ def python_of_blender(folder: Path) -> str:
     """The Python version that this Blender brings, "3.13"; PYTHON_OF_BLENDER says it where Blender can't be asked."""
     if said := os.environ.get("PYTHON_OF_BLENDER"):
         return said
-    blender = os.environ.get("BLENDER") or shutil.which("blender")
     asked = "import sys; print('python', *sys.version_info[:2], sep='.')"
-    command = [blender, "--background", "--factory-startup", "--python-expr", asked]
+    command = [blender(), "--background", "--factory-startup", "--python-expr", asked]
     told = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=True).stdout
     return next(line.removeprefix("python.") for line in told.splitlines() if line.startswith("python."))
 
