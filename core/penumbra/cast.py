@@ -10,26 +10,28 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass
 
 import numpy as np
 
 from ..rays import chunks, in_threads
-from .casting import cast_rays, settle, trace_all, trace_open
+from .casting import RAYS, cast_rays, settle, trace_all, trace_open
 from .cost import Cost
 from .lamp import LampSamples
 from .lines import line_table
-from .masks import AWAY, LIT, UMBRA, Masks, Statistics, full_mask, words_of
+from .masks import AWAY, LIT, UMBRA, Masks, Statistics, words_of
 from .occluders import LampView, Occluders
 from .receivers import CLUSTER, Receivers, clusters
 from .shafts import Boxes, candidates
-from .silhouettes import line_items
+from .silhouettes import Items, line_items
 
 BATCH = 128
 """Clusters decided together: enough that numpy's calls cost little, few enough for the cache."""
 
 ITEMS = 1024
 """Lines of a step, CLUSTER values each: its arrays stay in the second-level cache."""
+
+BY_LINES, BY_RAYS = 0, 1
+"""What else may become of a cluster, beside LIT and UMBRA."""
 
 
 def cast(
@@ -65,18 +67,7 @@ def cast(
         index[rows] = found
         mixed += len(own)
         words.append(own)
-    return Masks(index, np.concatenate(words), lamp.count, work.statistics(index))
-
-
-@dataclass
-class _Tally:
-    """What threads have counted so far."""
-
-    rays: int = 0
-    pairs: int = 0
-    clusters: int = 0
-    mixed: int = 0
-    by_rays: int = 0
+    return Masks(index, np.concatenate(words), lamp.count, work.statistics())
 
 
 class _Work:
@@ -94,8 +85,10 @@ class _Work:
         self.table = None
         if lamp.planar:
             self.table = line_table(lamp.places[..., :2], self._guard(deepest))
-        self.full = full_mask(lamp.count)
-        self.tally = _Tally()
+        self.words = words_of(lamp.count)
+        # what became of each cluster: LIT, UMBRA, BY_LINES or BY_RAYS
+        self.state = np.full(len(groups), LIT, np.int32)
+        self.rays = self.pairs = 0
         self.seconds: dict[str, float] = {}
         self._lock = threading.Lock()
 
@@ -107,7 +100,8 @@ class _Work:
             size = deepest + float(np.abs(self.lamp.centre).max()) + float(np.abs(self.used).max(initial=0))
         return max(1e-4, 16 * 6e-8 * size / float(self.lamp.half[:2].min()))
 
-    def note(self, stage, seconds):
+    def note(self, stage: str, seconds: float) -> None:
+        """Add to the time of a stage."""
         with self._lock:
             self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
 
@@ -117,85 +111,87 @@ class _Work:
         rows = self.groups[part]
         place = (self.receivers.position[rows] - self.origin) @ self.lamp.axes.T
         boxes = Boxes(place.min(axis=1).astype(np.float32), place.max(axis=1).astype(np.float32))
-        state = np.full(len(rows), LIT, np.int32)
-        cluster, polygon, crowded = candidates(boxes, self.view.tree, self.lamp, 4 * self.cost.most_candidates())
+        state = self.state[part]
+        most = self.cost.most_candidates()
+        # blocks count more than is in them that matters
+        cluster, polygon, crowded = candidates(boxes, self.view.tree, self.lamp, 4 * most)
         found = time.thread_time()
-        crowded |= np.bincount(cluster, minlength=len(rows)) > self.cost.most_candidates()
+        self.note("shafts", found - began)
+        crowded |= np.bincount(cluster, minlength=len(rows)) > most
         keep = ~crowded[cluster]
         cluster, polygon = cluster[keep], polygon[keep]
+        words = np.zeros((len(rows), CLUSTER, self.words), np.uint64)
         if self.table is None:
             crowded[cluster] = True
-            items = None
         else:
             items = line_items(self.view, place, cluster, polygon, self.table)
             state[items.dark] = UMBRA
             crowded |= self.cost.prefers_rays(items.lines)
             items.drop(crowded)
-            state[items.cluster] = 0
-        state[crowded] = 0
-        culled = time.thread_time()
+            state[items.cluster] = BY_LINES
+            self.note("bounds", time.thread_time() - found)
+            self._by_lines(rows, place, items, words)
+        state[crowded] = BY_RAYS
+        self._by_rays(rows, np.flatnonzero(crowded), words)
         index = np.repeat(state, CLUSTER)
-        words, spent_rays, spent_lines, rays = self._mixed(rows, place, state, crowded, items)
-        mixed = np.flatnonzero(index == 0)
-        own, kept = settle(words, self.lamp.count)
-        index[mixed] = own
-        with self._lock:
-            self.tally.rays += rays
-            self.tally.by_rays += int(crowded.sum())
-            self.tally.clusters += len(rows)
-            self.tally.mixed += int((state == 0).sum())
-            self.tally.pairs += 0 if items is None else len(items.cluster)
-        for stage, seconds in (
-            ("shafts", found - began),
-            ("bounds", culled - found),
-            ("lines", spent_lines),
-            ("rays", spent_rays),
-        ):
-            self.note(stage, seconds)
+        mixed = index >= 0
+        index[mixed], kept = settle(words.reshape(-1, self.words)[mixed], self.lamp.count)
         return index, kept
 
-    def _mixed(self, rows, place, state, crowded, items):
-        """(m, words) uint64 masks of the receivers of clusters that are neither lit nor dark, row by row; seconds of
-        rays and of lines, and how many rays."""
-        open_clusters = np.flatnonzero(state == 0)
-        words = np.zeros((len(open_clusters), CLUSTER, len(self.full)), np.uint64)
-        slot = np.full(len(rows), -1)
-        slot[open_clusters] = np.arange(len(open_clusters))
-        rays, spent_rays, spent_lines = 0, 0.0, 0.0
-        given_up = np.flatnonzero(crowded)
-        if len(given_up):
+    def _by_lines(self, rows, place, items: Items, words) -> None:
+        """Set the words (clusters, CLUSTER, words) of the clusters of these items."""
+        rays = 0
+        for first, last in items.steps(ITEMS):
             began = time.thread_time()
-            traced = rows[given_up].ravel()
-            found = trace_all(self.receivers, traced, self.lamp, self.targets, self.occluders.occluded)
-            words[slot[given_up]] = found.reshape(len(given_up), CLUSTER, -1)
-            rays += len(traced) * self.lamp.count
-            spent_rays += time.thread_time() - began
-            self.cost.learn_rays(len(traced) * self.lamp.count, spent_rays)
-        if items is not None and len(items.cluster):
-            for first, last in items.steps(ITEMS):
-                began = time.thread_time()
-                which, sure, maybe = items.masks(first, last, place, self.receivers, rows, self.table)
-                open_words = maybe & ~sure
-                middle = time.thread_time()
-                traced = rows[which].ravel()
-                count = trace_open(
-                    self.receivers, traced, self.lamp, self.targets, self.occluders.occluded, open_words, sure
-                )
-                words[slot[which]] = sure.reshape(len(which), CLUSTER, -1)
-                end = time.thread_time()
-                rays += count
-                spent_lines += middle - began
-                spent_rays += end - middle
-                self.cost.learn_lines(int(items.first[last] - items.first[first]), middle - began)
-        return words.reshape(-1, words.shape[2]), spent_rays, spent_lines, rays
+            which, sure, maybe = items.masks(first, last, place, self.receivers, rows, self.table)
+            maybe &= ~sure
+            middle = time.thread_time()
+            rays += trace_open(
+                self.receivers, rows[which].ravel(), self.lamp, self.targets, self.occluders.occluded, maybe, sure
+            )
+            words[which] = sure.reshape(len(which), CLUSTER, -1)
+            self.note("lines", middle - began)
+            self.note("rays", time.thread_time() - middle)
+            self.cost.learn_lines(int(items.first[last] - items.first[first]), middle - began)
+        with self._lock:
+            self.rays += rays
+            self.pairs += len(items.cluster)
 
-    def statistics(self, index) -> Statistics:
-        samples = self.lamp.count
-        count = lambda state: int((index == state).sum()) * samples  # noqa: E731
-        relations = len(index) * samples
-        lit, umbra, away = count(LIT), count(UMBRA), count(AWAY)
-        tally = self.tally
+    def _by_rays(self, rows, which, words) -> None:
+        """Set the words of the clusters `which` without any geometry."""
+        if not len(which):
+            return
+        began = time.thread_time()
+        traced = rows[which].ravel()
+        step = max(1, RAYS // self.lamp.count)
+        parts = [
+            trace_all(self.receivers, traced[part], self.lamp, self.targets, self.occluders.occluded)
+            for part in chunks(len(traced), step)
+        ]
+        words[which] = np.concatenate(parts).reshape(len(which), CLUSTER, -1)
+        count = len(traced) * self.lamp.count
+        spent = time.thread_time() - began
+        self.note("rays", spent)
+        self.cost.learn_rays(count, spent)
+        with self._lock:
+            self.rays += count
+
+    def statistics(self) -> Statistics:
+        """Of all that was decided."""
+        size = np.full(len(self.groups), CLUSTER)
+        size[-1] = len(np.unique(self.groups[-1]))
+        lit, umbra, lines, rays = (
+            int(size[self.state == state].sum()) * self.lamp.count for state in (LIT, UMBRA, BY_LINES, BY_RAYS)
+        )
+        relations = len(self.receivers) * self.lamp.count
         return Statistics(
-            relations, lit, umbra, away, relations - lit - umbra - away - tally.rays, tally.rays,
-            tally.pairs / max(tally.mixed - tally.by_rays, 1), tally.by_rays / max(tally.clusters, 1), dict(self.seconds),
-        )  # fmt: skip
+            relations=relations,
+            lit=lit,
+            umbra=umbra,
+            away=relations - lit - umbra - lines - rays,
+            geometry=lines + rays - self.rays,
+            rays=self.rays,
+            candidates=self.pairs / max(int((self.state == BY_LINES).sum()), 1),
+            by_rays=float((self.state == BY_RAYS).mean()),
+            seconds=dict(self.seconds),
+        )

@@ -53,8 +53,11 @@ def trace_open(receivers: Receivers, rows, lamp: LampSamples, targets, occluded:
     places = np.flatnonzero(bits)
     cell = cells[places >> 6]
     row, sample = cell // words.shape[1], (cell % words.shape[1]) * 64 + (places & 63)
-    origins = receivers.position[rows[row]]
-    aims = targets[receivers.sets(rows[row]), sample]
+    own = rows[row]
+    origins = receivers.position.take(own, axis=0)
+    if receivers.group is not None:
+        sample += receivers.sets(own) * lamp.count
+    aims = targets.reshape(-1, 3).take(sample, axis=0)
     bits[places] = occluded(origins, lamp.vectors(origins, aims))
     words.reshape(-1)[cells] |= np.packbits(bits, bitorder="little").view(np.uint64)
     return len(places)

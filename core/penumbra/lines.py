@@ -17,7 +17,7 @@ import numpy as np
 from .masks import full_mask, words_of
 
 TABLE_BYTES = 1 << 24
-"""Size that a table may have: finer tables leave fewer relations to rays, but no longer stay in the cache."""
+"""Size that a table may have, twice that above 256 samples: finer ones leave less to rays, but stay in no cache."""
 
 ROUNDING = np.float32(3e-7)
 """Error of a coefficient in float32, in parts of the sum of its terms' magnitudes: five roundings."""
@@ -33,9 +33,9 @@ class LineTable:
         self.sets, self.samples = places.shape[:2]
         self.guard = guard
         self.words = words_of(self.samples)
-        cells = TABLE_BYTES // (16 * self.words * self.sets * 2)
-        # four times as many offsets as slopes: a sample's place changes by less with the slope
-        self.slopes = 1 << max(5, int(np.log2(max(cells, 1)) / 2 - 1))
+        cells = TABLE_BYTES * (1 if self.samples <= 256 else 2) // (16 * self.words * self.sets * 2)
+        # twice as many offsets as slopes: the fewest samples left open
+        self.slopes = 1 << max(5, int(np.log2(max(cells, 1) / 2) / 2 + 0.5))
         self.offsets = 1 << max(7, int(np.log2(max(cells, 1)) - np.log2(self.slopes)))
         # |g0| ≤ s · (1 + guard) covers all lines that touch the lamp; the cells at the ends are all out and all in
         self.scale = np.float32((self.offsets / 2 - 1) / (1 + guard))

@@ -15,10 +15,11 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 from lightpanes.core import metrics
-from lightpanes.core.penumbra import Cost, DirectLight, Masks, Occluders, Receivers, cast, cast_rays, sample_lamp
+from lightpanes.core.penumbra import Cost, DirectLight, Masks, Occluders, Receivers, cast, cast_rays, sample_lamp, shade
 from lightpanes.core.rays import Tracer
 from lightpanes.core.surface import make_texels
 
+from ..core import test_penumbra as hostile
 from . import cycles, harness, penumbra_charts, scenes
 from .penumbra_scenes import LOSING, STAGES, Stage, boxes, receivers
 
@@ -102,6 +103,7 @@ def rows() -> Iterator[dict]:
     yield from speed_rows(shop)
     yield from losing_rows(shop)
     yield from growth_rows(shop)
+    yield shading_row(shop)
     yield memory_row(shop)
     yield from chart_rows(shop)
     yield from shadow_rows()
@@ -119,6 +121,7 @@ def exact_rows(shop: Workshop) -> Iterator[dict]:
             f"bits that differ from rays, {name}, merged polygons", differing / relations * 1e7, 1, "in 10 M",
             detail=f"{differing} of {relations / 1e6:.0f} M: 16K, 65K, 262K receivers × 64, 256 samples",
         )  # fmt: skip
+    yield adversarial_row()
     differing = relations = 0
     for name in STAGES:
         stage, tracer, _ = shop.prepared(name)
@@ -131,6 +134,27 @@ def exact_rows(shop: Workshop) -> Iterator[dict]:
     yield harness.row(
         "bits that differ from rays, triangles", differing, 0, detail=f"of {relations / 1e6:.0f} M, all four scenes"
     )
+
+
+def adversarial_row() -> dict:
+    """Every lamp of the tests over clutter: boxes through one another, receivers on both sides of everything."""
+    differing = relations = 0
+    for seed in range(8):
+        scene = hostile.clutter(seed)
+        tracer = Tracer(scene)
+        seen = hostile.scattered(scene, 8000, seed)
+        for merge in (True, False):
+            occluders = Occluders.of(tracer, merge)
+            for light in hostile.LAMPS.values():
+                lamp = sample_lamp(light, 64)
+                masks = cast(seen, lamp, occluders, cost=Cost(64, "lines"))
+                brute = cast_rays(seen, lamp, tracer.blocked)
+                differing += int(np.unpackbits((masks.packed() ^ brute.packed()).view(np.uint8)).sum())
+                relations += masks.statistics.relations
+    detail = (
+        f"of {relations / 1e6:.0f} M: 8 scenes, {len(hostile.LAMPS)} lamps, polygons and triangles; more in tests/core"
+    )
+    return harness.row("bits that differ from rays, adversarial", differing, 0, detail=detail)
 
 
 def speed_rows(shop: Workshop) -> Iterator[dict]:
@@ -165,6 +189,23 @@ def growth_rows(shop: Workshop) -> Iterator[dict]:
     yield harness.row(
         "scenes on which receivers × 4 take less than × 3.7", sub_linear, 3, at_least=True, detail="of four"
     )
+
+
+def shading_row(shop: Workshop) -> dict:
+    """Shading from masks beside casting them, the slowest of the four."""
+    found = {}
+    for name in STAGES:
+        stage, _, occluders = shop.prepared(name)
+        seen, lamp = Receivers(*receivers(stage, 512)), sample_lamp(stage.lamp, 256)
+        masks = cast(seen, lamp, occluders)
+        shading, casting = harness.interleaved(
+            lambda masks=masks, seen=seen, lamp=lamp, stage=stage: shade(stage.lamp, lamp, seen, masks),
+            lambda occluders=occluders, seen=seen, lamp=lamp: cast(seen, lamp, occluders),
+            repeats=3,
+        )
+        found[name] = shading / casting
+    detail = ", ".join(f"{name} {value:.2f}" for name, value in found.items())
+    return harness.row("shading over casting at 262K × 256", max(found.values()), detail=detail)
 
 
 def memory_row(shop: Workshop) -> dict:
