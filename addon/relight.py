@@ -246,6 +246,10 @@ def _apply(context, scene, current: Session, lights):
     store.write_irradiance(scene, relighter.image(light))
     current.milliseconds = 1000 * (time.perf_counter() - begin)
     current.shown = lamp_key(lights)
+    for other in _sessions.values():
+        if other is not current and other.key == current.key:
+            # of a copy of the scene, which shows the same image
+            other.shown = ""
     current.last = {light.name: light for light in lights}
     current.error = ""
     if told:
@@ -376,10 +380,14 @@ def _on_save(*_):
 
 def pack() -> None:
     """Pack the images that changed, so that they are saved, and note which lamps they show."""
+    shown: dict[bpy.types.Image, str] = {}
     for scene in bpy.data.scenes:
         current, image = session(scene), store.find_image(scene, store.IRRADIANCE)
         if current is not None and image is not None and image.is_dirty:
-            image[PACKED] = current.shown
+            # copies of a scene share it, and one of them has written it
+            shown[image] = shown.get(image) or current.shown
+    for image, key in shown.items():
+        image[PACKED] = key
     store.pack_dirty()
 
 

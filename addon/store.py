@@ -33,6 +33,7 @@ META = "lightpanes_meta"
 LAYOUT = "lightpanes_layout"
 POINTS_KEY = "lightpanes_points"
 SHAPE = "lightpanes_shape"
+KEY = "lightpanes_key"
 # Attributes of the points' mesh that hold what a bake found where `points.follow` has moved the points since.
 REST = "rest_{}"
 
@@ -75,8 +76,8 @@ def store_bake(scene: bpy.types.Scene, bake: Bake, albedo: np.ndarray | None = N
     if points is not None:
         collection.objects.link(points)
     scene.lightpanes.entries = entries
-    if old is not None:
-        _remove_bake(old)
+    for former in {old, *strays(scene)} - {None}:
+        _remove_bake(former)
     for role, image in images.items():
         image.name = role
     entries.name = entries.data.name = ENTRIES
@@ -147,7 +148,7 @@ def write_meta(scene: bpy.types.Scene, meta: dict) -> None:
 def bake_key(scene: bpy.types.Scene) -> str | None:
     """Names the scene's bake: another bake, another key."""
     entries = find_entries(scene)
-    return None if entries is None else str(entries.data.get("lightpanes_key", ""))
+    return None if entries is None else str(entries.data.get(KEY, ""))
 
 
 def write_irradiance(scene: bpy.types.Scene, pixels: np.ndarray) -> None:
@@ -176,18 +177,36 @@ def pack_dirty() -> None:
 
 
 def clear(scene: bpy.types.Scene) -> bool:
-    """Delete the scene's bake and nothing else; True when there was one."""
+    """Delete the scene's bake, one that lies in it but belongs to no scene, and nothing else; True when there was one."""
     entries = scene.lightpanes.entries
-    if entries is None:
-        return False
     scene.lightpanes.entries = None
-    _remove_bake(entries)
+    found = {entries, *strays(scene)} - {None}
+    if not found:
+        return False
+    for item in found:
+        _remove_bake(item)
     for collection in list(scene.collection.children):
-        if TAG in collection and not collection.all_objects:
+        # what of ours is left in it belongs to a copy of the scene
+        if TAG in collection and all(TAG in item for item in collection.all_objects):
             scene.collection.children.unlink(collection)
             if not collection.users:
                 bpy.data.collections.remove(collection)
     return True
+
+
+def strays(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """Bakes that lie in the scene and belong to none: they were appended from another file."""
+    used = {other.lightpanes.entries for other in bpy.data.scenes}
+    return [
+        item
+        for item in scene.objects
+        if item.get(TAG) == ENTRIES and item.type == "MESH" and item.library is None and item not in used
+    ]
+
+
+def sweep() -> None:
+    """Delete images of ours that nothing uses any more."""
+    _remove([image for image in bpy.data.images if TAG in image and not image.users and image.library is None])
 
 
 def _opaque(rgb: np.ndarray) -> np.ndarray:
@@ -282,7 +301,7 @@ def _write_entries(bake: Bake, images: dict, points, points_specs: dict, made: l
     mesh[LAYOUT] = json.dumps(layout)
     mesh[META] = json.dumps(bake.meta)
     mesh[IMAGES] = images
-    mesh["lightpanes_key"] = _key(bake)
+    mesh[KEY] = _key(bake)
     if points is not None:
         mesh[POINTS_KEY] = points
     mesh.update()

@@ -131,6 +131,8 @@ GERMAN_BUTTONS = {
     "Convert to Mesh": "In Mesh umwandeln",
     "Make Real": "Zu Objekten machen",
     "Make Local": "Lokal machen",
+    "Use That Bake": "Dieses Ergebnis nutzen",
+    "Remove That Light": "Dieses Licht entfernen",
     "Hide from Renders": "Im Rendering ausblenden",
     "Make Single User": "Zum Einzelnutzer machen",
     "Show It to the Camera Only": "Nur der Kamera zeigen",

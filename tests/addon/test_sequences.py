@@ -42,7 +42,7 @@ def in_use(scene):
     points = store.find_points(scene)
     if points is not None:
         found |= {("objects", points.name), ("meshes", points.data.name)}
-    group = nodes._group_of(scene)
+    group = nodes.group_of(scene)
     if group is not None:
         found.add(("node_groups", group.name))
     return found | {("collections", c.name) for c in scene.collection.children if store.TAG in c}
