@@ -10,7 +10,7 @@ import hashlib
 import threading
 import time
 from collections.abc import Iterable
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 
 import bpy
@@ -207,10 +207,16 @@ def differences(before: dict[str, str], now: dict[str, str]) -> tuple[str, ...]:
 def _read_lights(depsgraph, current: Session, rendering: bool = False) -> tuple[Light, ...]:
     """The lamps that a render or a viewport shows; those that are not live as they were when last shown, and those
     that are baked in not at all."""
-    scene = depsgraph.scene.original
-    hidden = set() if rendering or not _is_viewport(depsgraph) else _hidden_lamps(scene, depsgraph.view_layer.name)
+    scene, layer, hidden = depsgraph.scene.original, depsgraph.view_layer.name, set()
+    if rendering or not _is_viewport(depsgraph):
+        # a render's own depsgraph holds what the viewport hides; a window has nothing to show such lamps for
+        asleep = bpy.app.background and depsgraph.mode == "VIEWPORT"
+        with visibility.awake(scene.view_layers[layer]) if asleep else nullcontext():
+            shining = lamps.read_lights(depsgraph, [])
+    else:
+        shining, hidden = lamps.read_lights(depsgraph, []), _hidden_lamps(scene, layer)
     lights = []
-    for light in lamps.read_lights(depsgraph, []):
+    for light in shining:
         if light.name not in hidden and light.name not in current.static:
             shown = replace(light, live=True)
             lights.append(shown if light.live else current.last.get(light.name, shown))

@@ -23,7 +23,7 @@ import numpy as np
 from ..core import exr
 from ..core.bake import Progress
 from ..core.scene import Light, SceneError
-from . import engine, extract, lamps, nodes, relight, store, vertices
+from . import engine, extract, lamps, nodes, relight, store, vertices, visibility
 from .work import run
 
 FOLDER = "lightpanes_irradiance"
@@ -75,7 +75,7 @@ def writing(context: bpy.types.Context, folder: Path, frames: range) -> Steps:
     if relight.session(scene) is None:
         raise SceneError(f"Scene '{scene.name}' has no bake; press Bake first.")
     manifest = _manifest(scene, frames)
-    with _staged(folder) as stage, _frame_kept(scene):
+    with _staged(folder) as stage, visibility.awake(context.view_layer), _frame_kept(scene):
         yield from _write_images(context, stage, frames, manifest)
         manifest["warnings"] += _leftovers(folder, stage)
         _write_manifest(stage / MANIFEST, manifest)
