@@ -22,7 +22,7 @@ from ..core.bake import BakeError
 from ..core.planner import EXITS
 from ..core.rays import EngineError
 from ..core.scene import SceneError
-from . import baking, colours, operators, relight, sequence, store
+from . import baking, beside, colours, operators, relight, sequence, store
 from .colours import KINDS
 
 OK, BAD_INPUT, INTERRUPTED = 0, 2, 130
@@ -78,6 +78,11 @@ def _parser(opened: bool) -> argparse.ArgumentParser:
     bake.add_argument("--resolution", type=_number(16, 4096, int), metavar="N", help="atlas size in pixels (256)")
     bake.add_argument("--exits", choices=EXITS, help="where light is gathered (auto: points where that is less work)")
     bake.add_argument("--seed", type=_number(0, 2**31 - 1, int), metavar="N", help="seed of all random numbers (0)")
+    bake.add_argument(
+        "--storage",
+        choices=("packed", "beside"),
+        help="images inside the .blend, or as OpenEXR files in a folder beside it",
+    )
     again = command("relight", _relight, "Relight a baked scene by its lamps as they are; goes to FILE_relit.blend.")
     again.add_argument("--frame", type=_frame, metavar="N", help="frame to relight for")
     frames = command(
@@ -141,6 +146,7 @@ def _bake(options) -> int:
         ("resolution", options.resolution),
         ("exits", options.exits and options.exits.upper()),
         ("seed", options.seed),
+        ("storage", options.storage and options.storage.upper()),
     ):
         if value is not None:
             setattr(asked, setting, value)
@@ -312,7 +318,8 @@ def save_blend(target: Path) -> None:
     def write(path):
         bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, compress=True, check_existing=False)
 
-    _replacing(target, write)
+    with beside.saving_as(target):
+        _replacing(target, write)
 
 
 def _finish(options, path: Path, target: Path, report: dict) -> None:

@@ -290,6 +290,20 @@ def _linked(facts) -> Iterator[Obstacle]:
         yield Obstacle("LINKED", WARNING, sentence, names_of(linked), "Make Local")
 
 
+def _missing(facts) -> Iterator[Obstacle]:
+    """Files of the bake that are not where they were; the irradiance is made anew."""
+    lost = [
+        item for item in store.images_of(facts.scene) if item[store.TAG] != store.IRRADIANCE and store.is_lost(item)
+    ]
+    if lost:
+        paths = sorted(str(store.path_of(image)) for image in lost)
+        if len(paths) == 1:
+            sentence = f"The file '{paths[0]}' of this bake is missing: put it back, or bake again."
+        else:
+            sentence = f"The file '{paths[0]}' and {len(paths) - 1} more of this bake are missing: put them back, or bake again."
+        yield Obstacle("MISSING_FILE", WARNING, sentence)
+
+
 def _foreign(facts) -> Iterator[Obstacle]:
     """Objects that show light of other bakes than the scene's."""
     groups: dict[tuple, list] = {}
@@ -365,6 +379,7 @@ FINDERS: tuple[Callable[[Facts], Iterator[Obstacle]], ...] = (
     _not_meshes,
     _instances,
     _linked,
+    _missing,
     _foreign,
     _faceless,
     _vertices,

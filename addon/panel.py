@@ -9,7 +9,7 @@ from functools import lru_cache
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from . import animation, engine, figures, job, obstacles, preflight, relight, store, vertices
+from . import animation, beside, engine, figures, job, obstacles, preflight, relight, store, vertices
 
 MOST_OBSTACLES = 8
 MOST_LAMPS = 24
@@ -205,6 +205,9 @@ class LIGHTPANES_PT_output(_SubPanel, bpy.types.Panel):
         item = context.view_layer.objects.active
         if item is not None and item.type == "MESH" and store.TAG not in item:
             layout.prop(item.lightpanes, "target", text=item.name, translate=False)
+        layout.prop(scene.lightpanes, "storage")
+        if beside.problem():
+            _sentence(layout, context, beside.problem(), "ERROR")
         if store.find_entries(scene) is None:
             return
         column = layout.column(align=True)

@@ -61,7 +61,7 @@ def session(scene: bpy.types.Scene) -> Session | None:
     found = _sessions.get(scene.session_uid)
     if found is None or found.key != key:
         image = store.find_image(scene, store.IRRADIANCE)
-        packed = image is not None and not image.is_dirty and image.get(PACKED)
+        packed = image is not None and not image.is_dirty and not store.is_lost(image) and image.get(PACKED)
         found = _sessions[scene.session_uid] = _begin(scene, key, shown=packed or "")
     return found
 

@@ -235,7 +235,7 @@ def _direct(scene) -> np.ndarray | None:
     image = store.find_image(scene, store.DIRECT)
     if image is None:
         return None
-    width, height = image.size
+    width, height = store.need(image).size
     pixels = np.empty(len(image.pixels), np.float32)
     image.pixels.foreach_get(pixels)
     return pixels.reshape(height, width, -1)[..., :3]

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -103,6 +105,8 @@ def load_bake(scene: bpy.types.Scene) -> Bake | None:
         images = {role: _read_array(stored[role], role) for role in layout["images"]}
         direct = _read_array(stored[DIRECT], DIRECT)[..., :3].copy() if layout["direct"] else None
         resolution = int(layout["resolution"])
+    except SceneError:
+        raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise SceneError(f"The bake in scene '{scene.name}' is damaged ({error}); bake again.") from error
     return Bake(resolution=resolution, images=images, entries=arrays, direct=direct, meta=meta, points=points)
@@ -127,6 +131,33 @@ def find_image(scene: bpy.types.Scene, role: str) -> bpy.types.Image | None:
     entries = find_entries(scene)
     images = entries.data.get(IMAGES) if entries is not None else None
     return images.get(role) if images is not None else None
+
+
+def images_of(scene: bpy.types.Scene) -> list[bpy.types.Image]:
+    """All images of the scene's bake that have not been deleted."""
+    entries = find_entries(scene)
+    images = dict(entries.data.get(IMAGES, {})) if entries is not None else {}
+    return [image for image in images.values() if image is not None and TAG in image]
+
+
+def path_of(image: bpy.types.Image) -> Path | None:
+    """The file that holds the image, None where the .blend does."""
+    if image.packed_file is not None or image.source != "FILE" or not image.filepath_raw:
+        return None
+    return Path(os.path.normpath(bpy.path.abspath(image.filepath_raw, library=image.library)))
+
+
+def is_lost(image: bpy.types.Image) -> bool:
+    """Whether the image's file is missing, and with it what the image holds."""
+    path = path_of(image)
+    return path is not None and not image.has_data and not path.exists()
+
+
+def need(image: bpy.types.Image) -> bpy.types.Image:
+    """The image, whose pixels can be read then. Raises SceneError, naming the file, where that is missing."""
+    if is_lost(image):
+        raise SceneError(f"The file '{path_of(image)}' of this bake is missing: put it back, or bake again.")
+    return image
 
 
 def read_meta(scene: bpy.types.Scene) -> dict | None:
@@ -160,6 +191,10 @@ def write_irradiance(scene: bpy.types.Scene, pixels: np.ndarray) -> None:
     cycles = scene.render.engine == "CYCLES"
     if cycles:
         refresh.renew(image)
+    if is_lost(image):
+        # the lamps make it anew
+        image.source, image.use_generated_float = "GENERATED", True
+        image.generated_width, image.generated_height = width, height
     if tuple(image.size) != (width, height):
         image.scale(width, height)
     image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).reshape(-1))
@@ -240,6 +275,7 @@ def _write_pixels(role: str, pixels: np.ndarray, made: list, shape: tuple | None
 def _read_array(image: bpy.types.Image, role: str) -> np.ndarray:
     if image is None:
         raise ValueError(f"the image '{role}' has been deleted")
+    need(image)
     if not image.has_data:
         image.pixels[0]  # reads the packed file
     shape = tuple(json.loads(image[SHAPE]))

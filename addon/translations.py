@@ -103,6 +103,14 @@ GERMAN = {
     "the result is the same":
         "Threads, die Backen und Neubeleuchten nutzen dürfen, 0 für alle Kerne. Weniger lassen Blender mehr Raum; "
         "das Ergebnis ist dasselbe",
+    "Images": "Bilder",
+    "Where the images of a bake are kept when the .blend is saved":
+        "Wo die Bilder beim Speichern der .blend-Datei bleiben",
+    "In the .blend": "In der .blend-Datei",
+    "Packed: one file holds everything": "Gepackt: eine Datei enthält alles",
+    "Beside the .blend": "Neben der .blend-Datei",
+    "As 32-bit OpenEXR files in a folder that is named after the .blend":
+        "Als OpenEXR-Dateien mit 32 Bit in einem Ordner, der nach der .blend-Datei heißt",
     "Folder": "Ordner",
     "Where the images go; empty is beside the .blend": "Wohin die Bilder kommen; leer heißt neben die .blend-Datei",
     "Write the baked light as 32-bit OpenEXR images into a folder":

@@ -163,6 +163,11 @@ class Sequences(RuleBasedStateMachine):
     def save(self):
         bpy.ops.wm.save_as_mainfile(filepath=str(self.file))
 
+    @rule(storage=st.sampled_from(["PACKED", "BESIDE"]))
+    def store_images(self, storage):
+        self.scene.lightpanes.storage = storage
+        self.push("Images")
+
     @rule()
     def reload(self):
         bpy.ops.wm.open_mainfile(filepath=str(self.file))
