@@ -12,8 +12,8 @@ from . import store
 from .meshes import BAKE
 
 
-def baked_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """Objects that show baked light, members of instanced collections included."""
+def members(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The scene's objects, members of instanced collections included."""
     objects, pending = {}, list(scene.objects)
     while pending:
         item = pending.pop()
@@ -22,7 +22,12 @@ def baked_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
         objects[item] = True
         if item.instance_collection is not None:
             pending.extend(item.instance_collection.all_objects)
-    return [item for item in objects if "lightpanes_baked" in item]
+    return list(objects)
+
+
+def baked_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """Those among them that show baked light."""
+    return [item for item in members(scene) if "lightpanes_baked" in item]
 
 
 def claim(scene: bpy.types.Scene) -> None:

@@ -93,6 +93,9 @@ def _parser(opened: bool) -> argparse.ArgumentParser:
     for word in ("start", "end"):
         frames.add_argument(f"--{word}", type=_frame, metavar="N", help=f"{word} frame (the scene's)")
     frames.add_argument("--step", type=_number(1, 1e6, int), metavar="N", help="every Nth frame (the scene's)")
+    frames.add_argument(
+        "--groups", action="store_true", help="also an image for each group of lamps; they sum up to the whole"
+    )
     graph = command("chart", _chart, "Chart error against time, beside Cycles and the paper's method (some minutes).")
     graph.add_argument(
         "--resolution", type=_number(32, 1024, int), default=256, metavar="N", help="atlas size in pixels (256)"
@@ -183,7 +186,7 @@ def _animate(options) -> int:
         folder /= sequence.FOLDER
     frames = sequence.frames_of(bpy.context.scene, options.start, options.end, options.step)
     with Bar() as bar:
-        manifest = sequence.write(bpy.context, folder, frames, bar)
+        manifest = sequence.write(bpy.context, folder, frames, bar, options.groups)
     for sentence in manifest["warnings"]:
         _say(options, f"Warning: {sentence}")
     _write_report(options, {**context_of(path), **manifest, "file": str(folder / sequence.MANIFEST)})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 
 def _cycles_changed(_settings, context):
@@ -152,6 +152,10 @@ class LightSettings(bpy.types.PropertyGroup):
         "changes with the next bake only",
         default=True,
         update=_plan_changed,
+    )
+    group: StringProperty(
+        name="Group",
+        description="Lamps of one group share an image wherever baked light is written by group",
     )
 
 

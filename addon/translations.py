@@ -32,6 +32,15 @@ GERMAN = {
     "Entries": "Einträge",
     "Regions": "Regionen",
     "Texels": "Texel",
+    "Group": "Gruppe",
+    "Lamps of one group share an image wherever baked light is written by group":
+        "Lampen einer Gruppe teilen sich ein Bild, wo gebackenes Licht nach Gruppen geschrieben wird",
+    "No Group": "Ohne Gruppe",
+    "By Group": "Nach Gruppen",
+    "Also write an image for each group of lamps, for those without one, and for the light that no lamp changes. "
+    "Together they are the whole":
+        "Auch je ein Bild für jede Gruppe von Lampen, für die ohne Gruppe und für das Licht, das keine Lampe ändert. "
+        "Zusammen sind sie das Ganze",
     "No lamps": "Keine Lampen",
     "Baked In": "Eingebacken",
     "{} more": "{} weitere",
