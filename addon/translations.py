@@ -120,6 +120,14 @@ GERMAN = {
     "Beside the .blend": "Neben der .blend-Datei",
     "As 32-bit OpenEXR files in a folder that is named after the .blend":
         "Als OpenEXR-Dateien mit 32 Bit in einem Ordner, der nach der .blend-Datei heißt",
+    "Cache Folder": "Cache-Ordner",
+    "Where cancelled bakes keep what they had finished, so that baking goes on from there after Blender "
+    "was closed. Empty: in memory only":
+        "Wo abgebrochene Durchgänge behalten, was fertig war, damit das Backen auch nach einem Neustart von Blender dort "
+        "weitergeht. Leer: nur im Arbeitsspeicher",
+    "Cache Size": "Cache-Größe",
+    "Gigabytes that the cache folder may hold. What was used least recently is deleted first":
+        "Gigabyte, die der Cache-Ordner fassen darf. Was am längsten nicht gebraucht wurde, wird zuerst gelöscht",
     "Folder": "Ordner",
     "Where the images go; empty is beside the .blend": "Wohin die Bilder kommen; leer heißt neben die .blend-Datei",
     "Write the baked light as 32-bit OpenEXR images into a folder":
