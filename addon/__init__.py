@@ -6,6 +6,7 @@ import atexit
 
 from . import (
     animation,
+    beside,
     commands,
     fixes,
     job,
@@ -22,8 +23,8 @@ from . import (
 )
 
 MODULES = (
-    preferences, properties, operators, job, animation, fixes, saving, preflight, panel, translations, relight, refresh,
-    overlay, commands,
+    preferences, properties, operators, job, animation, fixes, saving, preflight, panel, translations, relight, beside,
+    refresh, overlay, commands,
 )  # fmt: skip
 
 _registered = False

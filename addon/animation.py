@@ -7,11 +7,11 @@ import weakref
 from pathlib import Path
 
 import bpy
-from bpy.props import IntProperty, StringProperty
+from bpy.props import BoolProperty, IntProperty, StringProperty
 
 from ..core.bake import BakeError, Progress
 from ..core.scene import SceneError
-from . import job, relight, sequence
+from . import job, relight, saving, sequence
 from .console import ConsoleProgress
 
 SLICE = 0.1
@@ -54,6 +54,8 @@ class LIGHTPANES_OT_bake_animation(bpy.types.Operator):
         name="Step", description="Frames from one to the next; the scene's if not given", min=1, options={"SKIP_SAVE"}
     )
 
+    groups: BoolProperty(name="By Group", description=saving.BY_GROUP)
+
     @classmethod
     def poll(cls, context):
         if running():
@@ -69,7 +71,7 @@ class LIGHTPANES_OT_bake_animation(bpy.types.Operator):
     def execute(self, context):
         try:
             with ConsoleProgress(context.window_manager) as tell:
-                manifest = sequence.write(context, *self._asked(context), tell)
+                manifest = sequence.write(context, *self._asked(context), tell, self.groups)
         except (SceneError, BakeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -81,7 +83,7 @@ class LIGHTPANES_OT_bake_animation(bpy.types.Operator):
             return self.execute(context)
         try:
             # the context that operators get may be gone at the next step
-            self._steps = sequence.writing(bpy.context, *self._asked(context))
+            self._steps = sequence.writing(bpy.context, *self._asked(context), self.groups)
             step = next(self._steps)
         except (SceneError, BakeError) as error:
             self.report({"ERROR"}, str(error))

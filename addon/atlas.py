@@ -18,11 +18,11 @@ from ..core.scene import SceneError
 from . import visibility
 from .charts import next_loop
 from .layout import Unwrapped, lay_out
-from .meshes import AT_VERTICES, LAYER, are_numbers, loop_triangles, read_attribute, weight_of
+from .meshes import AT_VERTICES, BAKE, LAYER, are_numbers, loop_triangles, read_attribute, weight_of
 from .work import Work, run
 
 ANGLE_LIMIT = np.radians(66.0)
-PLACE = ("lightpanes_scale", "lightpanes_offset", "lightpanes_baked", AT_VERTICES)
+PLACE = ("lightpanes_scale", "lightpanes_offset", "lightpanes_baked", AT_VERTICES, BAKE)
 DOUBLING = {"MIRROR", "ARRAY", "SOLIDIFY", "SCREW", "NODES", "BOOLEAN", "SKIN", "BUILD"}
 
 

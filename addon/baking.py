@@ -16,7 +16,7 @@ from ..core.bake import Cancelled, Kept, Progress, Settings, bake
 from ..core.panes import Relighter
 from ..core.rays import Tracer
 from ..core.scene import SceneError
-from . import atlas, extract, nodes, points, relight, store, twice, vertices
+from . import atlas, claims, extract, nodes, points, relight, store, twice, vertices
 from .preflight import check as preflight
 from .snapshot import Snapshot
 from .work import Work, mapped, run
@@ -105,6 +105,7 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         raise
     with relight.paused():
         vertices.keep(context, surfaces, loops)
+        claims.claim(scene)
         relight.adopt(scene, relighter)
         report["warnings"] += nodes.attach(context, surfaces)
         # after attaching, which may give materials to objects that have none; but what changed meanwhile is stale

@@ -22,7 +22,7 @@ from ..core.bake import BakeError
 from ..core.planner import EXITS
 from ..core.rays import EngineError
 from ..core.scene import SceneError
-from . import baking, colours, operators, relight, sequence, store
+from . import baking, beside, colours, operators, relight, sequence, store
 from .colours import KINDS
 
 OK, BAD_INPUT, INTERRUPTED = 0, 2, 130
@@ -78,6 +78,11 @@ def _parser(opened: bool) -> argparse.ArgumentParser:
     bake.add_argument("--resolution", type=_number(16, 4096, int), metavar="N", help="atlas size in pixels (256)")
     bake.add_argument("--exits", choices=EXITS, help="where light is gathered (auto: points where that is less work)")
     bake.add_argument("--seed", type=_number(0, 2**31 - 1, int), metavar="N", help="seed of all random numbers (0)")
+    bake.add_argument(
+        "--storage",
+        choices=("packed", "beside"),
+        help="images inside the .blend, or as OpenEXR files in a folder beside it",
+    )
     again = command("relight", _relight, "Relight a baked scene by its lamps as they are; goes to FILE_relit.blend.")
     again.add_argument("--frame", type=_frame, metavar="N", help="frame to relight for")
     frames = command(
@@ -88,6 +93,9 @@ def _parser(opened: bool) -> argparse.ArgumentParser:
     for word in ("start", "end"):
         frames.add_argument(f"--{word}", type=_frame, metavar="N", help=f"{word} frame (the scene's)")
     frames.add_argument("--step", type=_number(1, 1e6, int), metavar="N", help="every Nth frame (the scene's)")
+    frames.add_argument(
+        "--groups", action="store_true", help="also an image for each group of lamps; they sum up to the whole"
+    )
     graph = command("chart", _chart, "Chart error against time, beside Cycles and the paper's method (some minutes).")
     graph.add_argument(
         "--resolution", type=_number(32, 1024, int), default=256, metavar="N", help="atlas size in pixels (256)"
@@ -141,6 +149,7 @@ def _bake(options) -> int:
         ("resolution", options.resolution),
         ("exits", options.exits and options.exits.upper()),
         ("seed", options.seed),
+        ("storage", options.storage and options.storage.upper()),
     ):
         if value is not None:
             setattr(asked, setting, value)
@@ -177,7 +186,7 @@ def _animate(options) -> int:
         folder /= sequence.FOLDER
     frames = sequence.frames_of(bpy.context.scene, options.start, options.end, options.step)
     with Bar() as bar:
-        manifest = sequence.write(bpy.context, folder, frames, bar)
+        manifest = sequence.write(bpy.context, folder, frames, bar, options.groups)
     for sentence in manifest["warnings"]:
         _say(options, f"Warning: {sentence}")
     _write_report(options, {**context_of(path), **manifest, "file": str(folder / sequence.MANIFEST)})
@@ -312,7 +321,8 @@ def save_blend(target: Path) -> None:
     def write(path):
         bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, compress=True, check_existing=False)
 
-    _replacing(target, write)
+    with beside.saving_as(target):
+        _replacing(target, write)
 
 
 def _finish(options, path: Path, target: Path, report: dict) -> None:

@@ -9,7 +9,7 @@ import bpy
 from mathutils import Vector
 
 from ..core.scene import SceneError
-from . import former, preflight, vertices, world_light
+from . import baking, foreign, former, preflight, relight, vertices, world_light
 from .meshes import LAYER
 from .obstacles import Facts, Obstacle
 from .twice import NO_LIGHT
@@ -216,6 +216,15 @@ def _make_local(context, obstacle):
         raise SceneError(f"'{left[0]}' is in a linked collection: use Object > Library Override > Make first.")
 
 
+def _foreign_light(context, _obstacle):
+    entries = foreign.adoptable(context.scene)
+    if entries is not None:
+        context.scene.lightpanes.entries = entries
+        relight.update(context.scene, context.evaluated_depsgraph_get())
+    else:
+        baking.clear_scene(context)
+
+
 def _single_user(context, obstacle):
     for item in _objects(context, obstacle):
         item.data = item.data.copy()
@@ -261,6 +270,7 @@ FIXES: dict[str, Callable[[bpy.types.Context, Obstacle], None]] = {
     "CONVERT": _convert,
     "INSTANCES": _make_real,
     "LINKED": _make_local,
+    "FOREIGN_LIGHT": _foreign_light,
     "FACELESS": _hide,
     "SHARED_MESH": _single_user,
     "LIGHT_ATTRIBUTE": _rename_light,
@@ -284,6 +294,8 @@ HELP = {
     "CONVERT": "Turn these objects into meshes, which keep their shape and lose its curve or text",
     "INSTANCES": "Turn the instances into objects of their own, so that each gets its place in the atlas",
     "LINKED": "Copy these objects and their meshes into this file",
+    "FOREIGN_LIGHT": "Let the light follow this file's lamps where its bake is here, else take it off the objects, as "
+    "Clear does",
     "FACELESS": "Hide these objects from renders",
     "SHARED_MESH": "Give this object a mesh of its own",
     "LIGHT_ATTRIBUTE": "Give the attribute another name, which nodes that use it then need too",

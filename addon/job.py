@@ -1,7 +1,7 @@
 """The bake that runs while Blender stays free: steps of it on a timer, core's work on a thread.
 
 One bake runs at a time. Cancelling lets go of the thread at once, which ends at its next report; what it had finished
-is kept, and the next bake of the same scene with the same settings goes on from there.
+is kept, in the cache folder too, and the next bake of the same scene with the same settings goes on from there.
 """
 
 from __future__ import annotations
@@ -151,12 +151,15 @@ _current: Job | None = None
 
 def start(context: bpy.types.Context) -> Job:
     """Begin to bake the context's scene; raises SceneError while another bake runs."""
-    from . import baking
+    from . import baking, preferences
 
     global _current
     if running():
         raise SceneError("A bake is running; wait for it, or cancel it.")
     after = _current.thread if _current is not None else None
+    if after is None:
+        # else its thread may just be writing there
+        _kept.cache = preferences.cache()
     # the context that operators get may be gone at the next step
     _current = Job(context.scene, baking.bake_steps(bpy.context, _kept), after)
     return _current

@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 
 from ..core.scene import Light, SceneError, Sky
-from . import environment, visibility
+from . import environment, groups, visibility
 
 BOUNCES = 8
 """A lamp whose light ends after fewer bounces gets a warning: panes hold all bounces."""
@@ -129,7 +129,8 @@ def _read(obj, matrix, scene, warnings, name) -> Light | None:
     # without the add-on registered there is no setting, and every lamp is live
     mine = getattr(data.original, "lightpanes", None)
     live = mine is None or mine.live
-    return Light(name, data.type, frame, power, casts_shadow=data.use_shadow, live=live, **settings)
+    group = groups.group_of(data.original)
+    return Light(name, data.type, frame, power, casts_shadow=data.use_shadow, live=live, group=group, **settings)
 
 
 def _even(ratio: float) -> float:

@@ -10,6 +10,8 @@ import numpy as np
 LAYER = "Lightpanes"
 # On objects that are lit at their vertices, 1.0: shaders read it.
 AT_VERTICES = "lightpanes_vertices"
+# On baked objects: the key of the bake whose light they show.
+BAKE = "lightpanes_bake"
 FARTHEST = 1e15  # m
 
 

@@ -11,7 +11,7 @@ import math
 import bpy
 
 from ..core.scene import Material, Scene
-from . import store, vertices
+from . import claims, store, vertices
 from .meshes import AT_VERTICES
 
 GROUP = "Lightpanes"
@@ -48,19 +48,34 @@ def attach(context: bpy.types.Context, baked: Scene | None = None) -> list[str]:
 
 
 def detach(scene: bpy.types.Scene) -> None:
-    """Take the scene's group out of all materials and give the trees back as they were."""
-    others = {_group_of(other) for other in bpy.data.scenes if other != scene}
-    groups = {group for group in bpy.data.node_groups if group.get(store.TAG) == GROUP and group not in others}
+    """Take the scene's light out of all materials and give the trees back as they were.
+
+    The light of bakes that are in no scene of this file, which came with objects that were appended or which the user
+    deleted, goes out of the materials of the scene's objects, too.
+    """
+    own = group_of(scene)
+    others = {group_of(other) for other in bpy.data.scenes if other != scene}
+    here, elsewhere = _seen_in([scene]), _seen_in(other for other in bpy.data.scenes if other != scene)
+    shown = set()
     for material in list(bpy.data.materials):
-        tree = material.node_tree
-        if tree is not None and any(
-            _is_ours(node) and getattr(node, "node_tree", None) in groups for node in tree.nodes
-        ):
+        group = shown_by(material)
+        if group is None or material.library is not None:
+            continue
+        if group in others:
+            # of a copy of this scene, which may have materials of its own
+            stays = group != own or material in elsewhere or material not in here
+        else:
+            stays = group != own and material in elsewhere - here
+        if stays:
+            shown.add(group)
+        else:
             _detach_material(material)
     _restore_bounces(scene)
     _remove_default_material()
-    for group in groups:
-        bpy.data.node_groups.remove(group)
+    for group in list(bpy.data.node_groups):
+        if group.get(store.TAG) == GROUP and group.library is None and group not in others | shown:
+            bpy.data.node_groups.remove(group)
+    store.sweep()
 
 
 def show_in_cycles(scene: bpy.types.Scene) -> None:
@@ -75,7 +90,7 @@ def show_in_cycles(scene: bpy.types.Scene) -> None:
         if tree is None or material.library is not None:
             continue
         shown = _pair(tree, "EEVEE")
-        if shown is None or shown[0].node_tree != _group_of(scene):
+        if shown is None or shown[0].node_tree != group_of(scene):
             continue
         if show and _pair(tree, "CYCLES") is None:
             _add_pair(material, "CYCLES", shown[0].node_tree, shown[0])
@@ -97,32 +112,33 @@ def _restore_bounces(scene):
     scene.lightpanes.diffuse_bounces = -1
 
 
-def _group_of(scene) -> bpy.types.NodeTree | None:
+def group_of(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
+    """The group that shows the scene's bake."""
     entries = store.find_entries(scene)
     return None if entries is None else entries.data.get(_GROUP)
+
+
+def shown_by(material: bpy.types.Material) -> bpy.types.NodeTree | None:
+    """The group of ours that a material shows light by."""
+    nodes = material.node_tree.nodes if material.node_tree is not None else ()
+    return next((group for node in nodes if _is_ours(node) and (group := getattr(node, "node_tree", None))), None)
+
+
+def _seen_in(scenes) -> set[bpy.types.Material]:
+    """Materials in the slots of the scenes' baked objects."""
+    objects = (item for scene in scenes for item in claims.baked_objects(scene))
+    return {slot.material for item in objects for slot in item.material_slots if slot.material is not None}
 
 
 def _is_ours(node) -> bool:
     return NODE_TAG in node
 
 
-def _baked_objects(scene) -> list[bpy.types.Object]:
-    objects, pending = {}, list(scene.objects)
-    while pending:
-        item = pending.pop()
-        if item in objects:
-            continue
-        objects[item] = True
-        if item.instance_collection is not None:
-            pending.extend(item.instance_collection.all_objects)
-    return [item for item in objects if "lightpanes_baked" in item]
-
-
 def _materials(context, warnings) -> list[bpy.types.Material]:
     """Materials on baked objects, those set by geometry nodes included; empty slots get a default material."""
     depsgraph = context.evaluated_depsgraph_get()
     found: dict[bpy.types.Material, None] = {}
-    for item in sorted(_baked_objects(context.scene), key=lambda item: item.name):
+    for item in sorted(claims.baked_objects(context.scene), key=lambda item: item.name):
         _fill_slots(item, warnings)
         slots = [*item.material_slots, *item.evaluated_get(depsgraph).material_slots]
         for slot in slots:
@@ -141,7 +157,7 @@ def _fill_slots(item, warnings):
     if data.library is not None or item.library is not None:
         warnings.append(f"'{item.name}' has no material and is linked from another file, so it can't show baked light.")
         return
-    default = next((m for m in bpy.data.materials if m.get(store.TAG) == DEFAULT_MATERIAL), None)
+    default = next(iter(_default_materials()), None)
     if default is None:
         default = bpy.data.materials.new(DEFAULT_MATERIAL)
         default[store.TAG] = DEFAULT_MATERIAL
@@ -155,8 +171,12 @@ def _fill_slots(item, warnings):
             slot.material = default
 
 
+def _default_materials() -> list[bpy.types.Material]:
+    return [m for m in bpy.data.materials if m.get(store.TAG) == DEFAULT_MATERIAL and m.library is None]
+
+
 def _remove_default_material():
-    for default in [m for m in bpy.data.materials if m.get(store.TAG) == DEFAULT_MATERIAL]:
+    for default in _default_materials():
         if default.node_tree is not None and any(_is_ours(node) for node in default.node_tree.nodes):
             continue  # another scene still shows its bake on it
         for item in bpy.data.objects:

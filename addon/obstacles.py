@@ -13,7 +13,7 @@ from functools import cached_property
 
 import bpy
 
-from . import materials, store, vertices, visibility
+from . import foreign, materials, store, vertices, visibility
 from .extract import GEOMETRY, NOT_TRACED
 from .meshes import LAYER
 
@@ -290,6 +290,40 @@ def _linked(facts) -> Iterator[Obstacle]:
         yield Obstacle("LINKED", WARNING, sentence, names_of(linked), "Make Local")
 
 
+def _missing(facts) -> Iterator[Obstacle]:
+    """Files of the bake that are not where they were; the irradiance is made anew."""
+    lost = [
+        item for item in store.images_of(facts.scene) if item[store.TAG] != store.IRRADIANCE and store.is_lost(item)
+    ]
+    if lost:
+        paths = sorted(str(store.path_of(image)) for image in lost)
+        if len(paths) == 1:
+            sentence = f"The file '{paths[0]}' of this bake is missing: put it back, or bake again."
+        else:
+            sentence = f"The file '{paths[0]}' and {len(paths) - 1} more of this bake are missing: put them back, or bake again."
+        yield Obstacle("MISSING_FILE", WARNING, sentence)
+
+
+def _foreign(facts) -> Iterator[Obstacle]:
+    """Objects that show light of other bakes than the scene's."""
+    groups: dict[tuple, list] = {}
+    for item in foreign.carriers(facts.scene):
+        groups.setdefault((foreign.source(item, facts.scene), item.library), []).append(item)
+    for (source, library), items in groups.items():
+        show = f"{named(items)} show{'s' * (len(items) == 1)} the light of"
+        button = ""
+        if source is not None:
+            sentence = f"{show} scene '{source.name}', as its lamps are. Bake here to replace it."
+        elif library is not None:
+            sentence = f"{show} a bake in '{bpy.path.basename(library.filepath)}', as it was when that was saved."
+        elif foreign.adoptable(facts.scene) is not None:
+            sentence, button = f"{show} a bake that came along from another file.", "Use That Bake"
+        else:
+            sentence = f"{show} a bake that is not in this file, as it was last shown. Bake to replace it."
+            button = "Remove That Light" if store.find_entries(facts.scene) is None else ""
+        yield Obstacle("FOREIGN_LIGHT", WARNING, sentence, names_of(items), button, items[0].name)
+
+
 def _faceless(facts) -> Iterator[Obstacle]:
     """Among objects that have faces; modifiers might make some."""
     empty = [
@@ -345,6 +379,8 @@ FINDERS: tuple[Callable[[Facts], Iterator[Obstacle]], ...] = (
     _not_meshes,
     _instances,
     _linked,
+    _missing,
+    _foreign,
     _faceless,
     _vertices,
     _particles,

@@ -9,7 +9,7 @@ from functools import lru_cache
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from . import animation, engine, figures, job, obstacles, preflight, relight, store, vertices
+from . import animation, beside, engine, figures, groups, job, obstacles, preflight, relight, store, vertices
 
 MOST_OBSTACLES = 8
 MOST_LAMPS = 24
@@ -147,10 +147,15 @@ class LIGHTPANES_PT_lamps(_SubPanel, bpy.types.Panel):
         column = layout.column(align=True)
         if not names:
             column.label(text="No lamps", icon="INFO")
-        for name in names[:MOST_LAMPS]:
-            item = bpy.data.objects.get(name)
-            if item is None or item.type != "LIGHT":
-                continue
+        items = [item for name in names if (item := bpy.data.objects.get(name)) is not None and item.type == "LIGHT"]
+        # those without one come last
+        items.sort(key=lambda item: (not (group := groups.group_of(item.data)), group))
+        shown = None if items and groups.group_of(items[0].data) else ""
+        for item in items[:MOST_LAMPS]:
+            group = groups.group_of(item.data)
+            if group != shown:
+                shown = group
+                column.label(text=group or iface_("No Group"), icon="GROUP", translate=False)
             row = column.split(factor=0.45, align=True)
             row.active = not item.hide_render
             row.label(text=item.name, icon=LAMP_ICONS.get(item.data.type, "LIGHT"), translate=False)
@@ -205,6 +210,9 @@ class LIGHTPANES_PT_output(_SubPanel, bpy.types.Panel):
         item = context.view_layer.objects.active
         if item is not None and item.type == "MESH" and store.TAG not in item:
             layout.prop(item.lightpanes, "target", text=item.name, translate=False)
+        layout.prop(scene.lightpanes, "storage")
+        if beside.problem():
+            _sentence(layout, context, beside.problem(), "ERROR")
         if store.find_entries(scene) is None:
             return
         column = layout.column(align=True)
@@ -271,7 +279,9 @@ class LIGHTPANES_PT_light(_Panel, bpy.types.Panel):
         return context.light is not None
 
     def draw(self, context):
-        self.begin().prop(context.light.lightpanes, "live")
+        layout = self.begin()
+        layout.prop(context.light.lightpanes, "live")
+        layout.prop(context.light.lightpanes, "group")
 
 
 def _report(scene) -> dict | None:

@@ -13,7 +13,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..core.scene import SceneError
-from . import handlers, obstacles, relight, store, twice
+from . import foreign, handlers, obstacles, relight, store, twice
 from .forecast import Forecast, predict
 from .obstacles import ERROR, Facts, Obstacle
 
@@ -30,7 +30,7 @@ FOR_THE_PANEL = {"NO_RECEIVER", "OTHER_MODE"}
 class Findings:
     """objects: that get light, of which at_vertices do at their vertices. excluded: by the user. blockers: all that
     render and block and reflect light only, those excluded among them. lamps: names of all; live, static: of those that
-    render. forecast: None where nothing can be baked. can_give_back: whether fixes changed what Clear undoes."""
+    render. forecast: None where nothing can be baked. can_give_back: whether Clear has something to undo beside a bake."""
 
     objects: int
     at_vertices: int
@@ -97,7 +97,8 @@ def examine(context: bpy.types.Context) -> Findings:
         static=len(facts.lamps) - live,
         forecast=None if blocked else predict(facts),
         obstacles=tuple(found),
-        can_give_back=twice.is_changed(facts.scene),
+        can_give_back=twice.is_changed(facts.scene)
+        or any(item.library is None for item in foreign.carriers(facts.scene)),
     )
 
 

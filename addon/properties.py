@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 
 def _cycles_changed(_settings, context):
@@ -99,6 +99,15 @@ class SceneSettings(bpy.types.PropertyGroup):
         default="NONE",
         update=_show_points_changed,
     )
+    storage: EnumProperty(
+        name="Images",
+        description="Where the images of a bake are kept when the .blend is saved",
+        items=(
+            ("PACKED", "In the .blend", "Packed: one file holds everything"),
+            ("BESIDE", "Beside the .blend", "As 32-bit OpenEXR files in a folder that is named after the .blend"),
+        ),
+        default="PACKED",
+    )
     # Cycles' diffuse bounces before `cycles` set them to 0; -1 while it has not.
     diffuse_bounces: IntProperty(default=-1, options={"HIDDEN"})
     # The bake that belongs to the scene: changing this one pointer is the swap from the old bake to the new.
@@ -143,6 +152,10 @@ class LightSettings(bpy.types.PropertyGroup):
         "changes with the next bake only",
         default=True,
         update=_plan_changed,
+    )
+    group: StringProperty(
+        name="Group",
+        description="Lamps of one group share an image wherever baked light is written by group",
     )
 
 

@@ -10,7 +10,7 @@ import hashlib
 import threading
 import time
 from collections.abc import Iterable
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 
 import bpy
@@ -61,7 +61,7 @@ def session(scene: bpy.types.Scene) -> Session | None:
     found = _sessions.get(scene.session_uid)
     if found is None or found.key != key:
         image = store.find_image(scene, store.IRRADIANCE)
-        packed = image is not None and not image.is_dirty and image.get(PACKED)
+        packed = image is not None and not image.is_dirty and not store.is_lost(image) and image.get(PACKED)
         found = _sessions[scene.session_uid] = _begin(scene, key, shown=packed or "")
     return found
 
@@ -207,10 +207,16 @@ def differences(before: dict[str, str], now: dict[str, str]) -> tuple[str, ...]:
 def _read_lights(depsgraph, current: Session, rendering: bool = False) -> tuple[Light, ...]:
     """The lamps that a render or a viewport shows; those that are not live as they were when last shown, and those
     that are baked in not at all."""
-    scene = depsgraph.scene.original
-    hidden = set() if rendering or not _is_viewport(depsgraph) else _hidden_lamps(scene, depsgraph.view_layer.name)
+    scene, layer, hidden = depsgraph.scene.original, depsgraph.view_layer.name, set()
+    if rendering or not _is_viewport(depsgraph):
+        # a render's own depsgraph holds what the viewport hides; a window has nothing to show such lamps for
+        asleep = bpy.app.background and depsgraph.mode == "VIEWPORT"
+        with visibility.awake(scene.view_layers[layer]) if asleep else nullcontext():
+            shining = lamps.read_lights(depsgraph, [])
+    else:
+        shining, hidden = lamps.read_lights(depsgraph, []), _hidden_lamps(scene, layer)
     lights = []
-    for light in lamps.read_lights(depsgraph, []):
+    for light in shining:
         if light.name not in hidden and light.name not in current.static:
             shown = replace(light, live=True)
             lights.append(shown if light.live else current.last.get(light.name, shown))
@@ -246,6 +252,10 @@ def _apply(context, scene, current: Session, lights):
     store.write_irradiance(scene, relighter.image(light))
     current.milliseconds = 1000 * (time.perf_counter() - begin)
     current.shown = lamp_key(lights)
+    for other in _sessions.values():
+        if other is not current and other.key == current.key:
+            # of a copy of the scene, which shows the same image
+            other.shown = ""
     current.last = {light.name: light for light in lights}
     current.error = ""
     if told:
@@ -376,10 +386,14 @@ def _on_save(*_):
 
 def pack() -> None:
     """Pack the images that changed, so that they are saved, and note which lamps they show."""
+    shown: dict[bpy.types.Image, str] = {}
     for scene in bpy.data.scenes:
         current, image = session(scene), store.find_image(scene, store.IRRADIANCE)
         if current is not None and image is not None and image.is_dirty:
-            image[PACKED] = current.shown
+            # copies of a scene share it, and one of them has written it
+            shown[image] = shown.get(image) or current.shown
+    for image, key in shown.items():
+        image[PACKED] = key
     store.pack_dirty()
 
 

@@ -3,7 +3,7 @@
 A folder gets `irradiance_0001.exr` and so on, one a frame: irradiance in W/m², linear Rec.709, the receiver's own colour
 divided out, so that outgoing radiance = albedo × irradiance / π. `lightpanes_animation.json` beside them says which
 frames there are and where in the atlas each object lies; `direct.exr` is the first hit of sky and emissive faces, to be
-added, where the bake holds it. All files of a run appear at once when its last frame is done, or not at all.
+added, where the bake holds it. By group, `irradiance_0001_GROUP.exr` and `irradiance_Steady.exr` sum up to the whole. All files of a run appear at once when its last frame is done, or not at all.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy as np
 from ..core import exr
 from ..core.bake import Progress
 from ..core.scene import Light, SceneError
-from . import engine, extract, lamps, nodes, relight, store, vertices
+from . import engine, extract, groups, lamps, nodes, relight, store, vertices, visibility
 from .work import run
 
 FOLDER = "lightpanes_irradiance"
@@ -57,25 +57,34 @@ def folder_of(directory: str) -> Path:
 
 
 def write(
-    context: bpy.types.Context, folder: Path, frames: range, tell: Callable[[Progress], None] | None = None
+    context: bpy.types.Context,
+    folder: Path,
+    frames: range,
+    tell: Callable[[Progress], None] | None = None,
+    by_group: bool = False,
 ) -> dict:
     """Write the animation of the context's scene to `folder`, which is made if missing; returns the manifest.
+
+    by_group: also an image for each group of lamps (see `groups`).
 
     Raises SceneError with a sentence for the user. Whatever stops it, an exception raised by `tell` included, leaves
     the folder, the scene's frame and its light as they were.
     """
-    return run(writing(context, folder, frames), tell)
+    return run(writing(context, folder, frames, by_group), tell)
 
 
-def writing(context: bpy.types.Context, folder: Path, frames: range) -> Steps:
+def writing(context: bpy.types.Context, folder: Path, frames: range, by_group: bool = False) -> Steps:
     """`write` in steps of a tenth of a second, as far as Blender's own work on a frame allows; close it to cancel."""
     scene = context.scene
     if reason := engine.unusable():
         raise SceneError(reason)
-    if relight.session(scene) is None:
+    current = relight.session(scene)
+    if current is None:
         raise SceneError(f"Scene '{scene.name}' has no bake; press Bake first.")
     manifest = _manifest(scene, frames)
-    with _staged(folder) as stage, _frame_kept(scene):
+    if by_group:
+        _name_groups(manifest, groups.in_scene(scene, current.static))
+    with _staged(folder) as stage, visibility.awake(context.view_layer), _frame_kept(scene):
         yield from _write_images(context, stage, frames, manifest)
         manifest["warnings"] += _leftovers(folder, stage)
         _write_manifest(stage / MANIFEST, manifest)
@@ -125,22 +134,33 @@ def _write_images(context, stage: Path, frames: range, manifest: dict) -> Steps:
     if direct is not None:
         yield from (Progress("Direct light", 0.0, 0) for _ in exr.writing(stage / DIRECT, direct))
         manifest["direct"] = DIRECT
-    shown, place = "", None
+    names = [entry["group"] or "" for entry in manifest.get("groups", ())]
+    shown, former = "", []
     for number, entry in enumerate(manifest["frames"]):
-        former, place = place, stage / entry["file"]
         if context.scene != scene or relight.session(scene) is not current:
             raise SceneError(f"Scene '{scene.name}' was left, or its bake replaced or cleared, meanwhile; start again.")
         scene.frame_set(entry["frame"])
         # at once, for somebody may play the animation meanwhile
         lights = warnings.look(entry["frame"])
         yield Progress("Frames", number / len(frames), 0)
+        files = [entry["file"], *entry.get("groups", {}).values()]
         key = relight.lamp_key(lights)
         if key == shown:
-            shutil.copyfile(former, place)
+            for old, new in zip(former, files, strict=True):
+                shutil.copyfile(stage / old, stage / new)
         else:
             shown, light = key, _irradiance(context, current, lights)
-            for part in exr.writing(place, light):
-                yield Progress("Frames", (number + part) / len(frames), 0)
+            pictures = [light]
+            if names:
+                yield Progress("Frames", number / len(frames), 0)
+                parts, steady = _shares(context, current, lights, names)
+                pictures += parts
+                if not former:
+                    yield from (Progress("Frames", 0.0, 0) for _ in exr.writing(stage / manifest["steady"], steady))
+            for done, (file, picture) in enumerate(zip(files, pictures, strict=True)):
+                for part in exr.writing(stage / file, picture):
+                    yield Progress("Frames", (number + (done + part) / len(files)) / len(frames), 0)
+        former = files
         yield Progress("Frames", (number + 1) / len(frames), 0)
     manifest["warnings"] += warnings.sentences()
 
@@ -149,6 +169,11 @@ def _irradiance(context, current: relight.Session, lights) -> np.ndarray:
     """(H, W, 3) float32 of what `lightpanes.relight` would show; the image that the user sees is not touched."""
     with relight.paused():
         return relight.relighter_of(context, current).relight(lights)[..., :3].copy()
+
+
+def _shares(context, current: relight.Session, lights, names) -> tuple[list[np.ndarray], np.ndarray]:
+    with relight.paused():
+        return groups.shares(relight.relighter_of(context, current), lights, names)
 
 
 class _Warnings:
@@ -225,6 +250,16 @@ def _manifest(scene, frames: range) -> dict:
     }
 
 
+def _name_groups(manifest: dict, names: list[str]) -> None:
+    """Files for each group, and for the light that no live lamp changes."""
+    parts = groups.file_parts(names)
+    manifest["groups"] = [{"group": name or None, "part": part} for name, part in parts.items()]
+    manifest["steady"] = f"irradiance_{groups.STEADY}.exr"
+    for entry in manifest["frames"]:
+        stem = entry["file"].removesuffix(".exr")
+        entry["groups"] = {part: f"{stem}_{part}.exr" for part in parts.values()}
+
+
 def _file_name(frame: int) -> str:
     """As Blender numbers a sequence."""
     return f"irradiance_{'-' * (frame < 0)}{abs(frame):04d}.exr"
@@ -235,7 +270,7 @@ def _direct(scene) -> np.ndarray | None:
     image = store.find_image(scene, store.DIRECT)
     if image is None:
         return None
-    width, height = image.size
+    width, height = store.need(image).size
     pixels = np.empty(len(image.pixels), np.float32)
     image.pixels.foreach_get(pixels)
     return pixels.reshape(height, width, -1)[..., :3]

@@ -20,7 +20,7 @@ class Snapshot:
 
     def __init__(self, scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]):
         self.places = {
-            item.session_uid: {n: (list(v) if hasattr(v := item[n], "__len__") else v) for n in PLACE if n in item}
+            item.session_uid: {n: (list(v) if hasattr(v := item[n], "to_list") else v) for n in PLACE if n in item}
             for item in scene.objects
         }
         self.layers = {}

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -33,6 +35,7 @@ META = "lightpanes_meta"
 LAYOUT = "lightpanes_layout"
 POINTS_KEY = "lightpanes_points"
 SHAPE = "lightpanes_shape"
+KEY = "lightpanes_key"
 # Attributes of the points' mesh that hold what a bake found where `points.follow` has moved the points since.
 REST = "rest_{}"
 
@@ -75,8 +78,8 @@ def store_bake(scene: bpy.types.Scene, bake: Bake, albedo: np.ndarray | None = N
     if points is not None:
         collection.objects.link(points)
     scene.lightpanes.entries = entries
-    if old is not None:
-        _remove_bake(old)
+    for former in {old, *strays(scene)} - {None}:
+        _remove_bake(former)
     for role, image in images.items():
         image.name = role
     entries.name = entries.data.name = ENTRIES
@@ -102,6 +105,8 @@ def load_bake(scene: bpy.types.Scene) -> Bake | None:
         images = {role: _read_array(stored[role], role) for role in layout["images"]}
         direct = _read_array(stored[DIRECT], DIRECT)[..., :3].copy() if layout["direct"] else None
         resolution = int(layout["resolution"])
+    except SceneError:
+        raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise SceneError(f"The bake in scene '{scene.name}' is damaged ({error}); bake again.") from error
     return Bake(resolution=resolution, images=images, entries=arrays, direct=direct, meta=meta, points=points)
@@ -128,6 +133,33 @@ def find_image(scene: bpy.types.Scene, role: str) -> bpy.types.Image | None:
     return images.get(role) if images is not None else None
 
 
+def images_of(scene: bpy.types.Scene) -> list[bpy.types.Image]:
+    """All images of the scene's bake that have not been deleted."""
+    entries = find_entries(scene)
+    images = dict(entries.data.get(IMAGES, {})) if entries is not None else {}
+    return [image for image in images.values() if image is not None and TAG in image]
+
+
+def path_of(image: bpy.types.Image) -> Path | None:
+    """The file that holds the image, None where the .blend does."""
+    if image.packed_file is not None or image.source != "FILE" or not image.filepath_raw:
+        return None
+    return Path(os.path.normpath(bpy.path.abspath(image.filepath_raw, library=image.library)))
+
+
+def is_lost(image: bpy.types.Image) -> bool:
+    """Whether the image's file is missing, and with it what the image holds."""
+    path = path_of(image)
+    return path is not None and not image.has_data and not path.exists()
+
+
+def need(image: bpy.types.Image) -> bpy.types.Image:
+    """The image, whose pixels can be read then. Raises SceneError, naming the file, where that is missing."""
+    if is_lost(image):
+        raise SceneError(f"The file '{path_of(image)}' of this bake is missing: put it back, or bake again.")
+    return image
+
+
 def read_meta(scene: bpy.types.Scene) -> dict | None:
     """`bake.meta` without reading the rest; None without a bake."""
     entries = find_entries(scene)
@@ -147,7 +179,7 @@ def write_meta(scene: bpy.types.Scene, meta: dict) -> None:
 def bake_key(scene: bpy.types.Scene) -> str | None:
     """Names the scene's bake: another bake, another key."""
     entries = find_entries(scene)
-    return None if entries is None else str(entries.data.get("lightpanes_key", ""))
+    return None if entries is None else str(entries.data.get(KEY, ""))
 
 
 def write_irradiance(scene: bpy.types.Scene, pixels: np.ndarray) -> None:
@@ -159,6 +191,10 @@ def write_irradiance(scene: bpy.types.Scene, pixels: np.ndarray) -> None:
     cycles = scene.render.engine == "CYCLES"
     if cycles:
         refresh.renew(image)
+    if is_lost(image):
+        # the lamps make it anew
+        image.source, image.use_generated_float = "GENERATED", True
+        image.generated_width, image.generated_height = width, height
     if tuple(image.size) != (width, height):
         image.scale(width, height)
     image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).reshape(-1))
@@ -176,18 +212,36 @@ def pack_dirty() -> None:
 
 
 def clear(scene: bpy.types.Scene) -> bool:
-    """Delete the scene's bake and nothing else; True when there was one."""
+    """Delete the scene's bake, one that lies in it but belongs to no scene, and nothing else; True when there was one."""
     entries = scene.lightpanes.entries
-    if entries is None:
-        return False
     scene.lightpanes.entries = None
-    _remove_bake(entries)
+    found = {entries, *strays(scene)} - {None}
+    if not found:
+        return False
+    for item in found:
+        _remove_bake(item)
     for collection in list(scene.collection.children):
-        if TAG in collection and not collection.all_objects:
+        # what of ours is left in it belongs to a copy of the scene
+        if TAG in collection and all(TAG in item for item in collection.all_objects):
             scene.collection.children.unlink(collection)
             if not collection.users:
                 bpy.data.collections.remove(collection)
     return True
+
+
+def strays(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """Bakes that lie in the scene and belong to none: they were appended from another file."""
+    used = {other.lightpanes.entries for other in bpy.data.scenes}
+    return [
+        item
+        for item in scene.objects
+        if item.get(TAG) == ENTRIES and item.type == "MESH" and item.library is None and item not in used
+    ]
+
+
+def sweep() -> None:
+    """Delete images of ours that nothing uses any more."""
+    _remove([image for image in bpy.data.images if TAG in image and not image.users and image.library is None])
 
 
 def _opaque(rgb: np.ndarray) -> np.ndarray:
@@ -221,6 +275,7 @@ def _write_pixels(role: str, pixels: np.ndarray, made: list, shape: tuple | None
 def _read_array(image: bpy.types.Image, role: str) -> np.ndarray:
     if image is None:
         raise ValueError(f"the image '{role}' has been deleted")
+    need(image)
     if not image.has_data:
         image.pixels[0]  # reads the packed file
     shape = tuple(json.loads(image[SHAPE]))
@@ -282,7 +337,7 @@ def _write_entries(bake: Bake, images: dict, points, points_specs: dict, made: l
     mesh[LAYOUT] = json.dumps(layout)
     mesh[META] = json.dumps(bake.meta)
     mesh[IMAGES] = images
-    mesh["lightpanes_key"] = _key(bake)
+    mesh[KEY] = _key(bake)
     if points is not None:
         mesh[POINTS_KEY] = points
     mesh.update()

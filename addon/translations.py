@@ -32,6 +32,15 @@ GERMAN = {
     "Entries": "Einträge",
     "Regions": "Regionen",
     "Texels": "Texel",
+    "Group": "Gruppe",
+    "Lamps of one group share an image wherever baked light is written by group":
+        "Lampen einer Gruppe teilen sich ein Bild, wo gebackenes Licht nach Gruppen geschrieben wird",
+    "No Group": "Ohne Gruppe",
+    "By Group": "Nach Gruppen",
+    "Also write an image for each group of lamps, for those without one, and for the light that no lamp changes. "
+    "Together they are the whole":
+        "Auch je ein Bild für jede Gruppe von Lampen, für die ohne Gruppe und für das Licht, das keine Lampe ändert. "
+        "Zusammen sind sie das Ganze",
     "No lamps": "Keine Lampen",
     "Baked In": "Eingebacken",
     "{} more": "{} weitere",
@@ -103,6 +112,22 @@ GERMAN = {
     "the result is the same":
         "Threads, die Backen und Neubeleuchten nutzen dürfen, 0 für alle Kerne. Weniger lassen Blender mehr Raum; "
         "das Ergebnis ist dasselbe",
+    "Images": "Bilder",
+    "Where the images of a bake are kept when the .blend is saved":
+        "Wo die Bilder beim Speichern der .blend-Datei bleiben",
+    "In the .blend": "In der .blend-Datei",
+    "Packed: one file holds everything": "Gepackt: eine Datei enthält alles",
+    "Beside the .blend": "Neben der .blend-Datei",
+    "As 32-bit OpenEXR files in a folder that is named after the .blend":
+        "Als OpenEXR-Dateien mit 32 Bit in einem Ordner, der nach der .blend-Datei heißt",
+    "Cache Folder": "Cache-Ordner",
+    "Where cancelled bakes keep what they had finished, so that baking goes on from there after Blender "
+    "was closed. Empty: in memory only":
+        "Wo abgebrochene Durchgänge behalten, was fertig war, damit das Backen auch nach einem Neustart von Blender dort "
+        "weitergeht. Leer: nur im Arbeitsspeicher",
+    "Cache Size": "Cache-Größe",
+    "Gigabytes that the cache folder may hold. What was used least recently is deleted first":
+        "Gigabyte, die der Cache-Ordner fassen darf. Was am längsten nicht gebraucht wurde, wird zuerst gelöscht",
     "Folder": "Ordner",
     "Where the images go; empty is beside the .blend": "Wohin die Bilder kommen; leer heißt neben die .blend-Datei",
     "Write the baked light as 32-bit OpenEXR images into a folder":
@@ -131,6 +156,8 @@ GERMAN_BUTTONS = {
     "Convert to Mesh": "In Mesh umwandeln",
     "Make Real": "Zu Objekten machen",
     "Make Local": "Lokal machen",
+    "Use That Bake": "Dieses Ergebnis nutzen",
+    "Remove That Light": "Dieses Licht entfernen",
     "Hide from Renders": "Im Rendering ausblenden",
     "Make Single User": "Zum Einzelnutzer machen",
     "Show It to the Camera Only": "Nur der Kamera zeigen",

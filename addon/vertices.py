@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.scene import Scene
 from ..core.surface import make_vertices
-from . import atlas, visibility
+from . import atlas, claims, visibility
 from .meshes import AT_VERTICES, read_attribute
 
 LIGHT = "lightpanes_irradiance"
@@ -108,8 +108,9 @@ def _set_active(colors, active, default) -> None:
 
 
 def lit(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The scene's objects that a bake lights at their vertices."""
-    return [item for item in scene.objects if AT_VERTICES in item and item.type == "MESH" and OURS in item.data]
+    """The scene's objects that its bake lights at their vertices."""
+    found = [item for item in scene.objects if AT_VERTICES in item and item.type == "MESH" and OURS in item.data]
+    return [item for item in found if claims.belongs(item, scene)]
 
 
 def show(scene: bpy.types.Scene, values: np.ndarray) -> list[str]:

@@ -116,3 +116,57 @@ def as_rendered(context: bpy.types.Context) -> Iterator[bpy.types.Depsgraph]:
         switches.restore()
         if switches.undo:
             view_layer.update()
+
+
+@contextmanager
+def awake(view_layer: bpy.types.ViewLayer) -> Iterator[None]:
+    """Lamps that render follow their animation meanwhile, whatever the viewport hides.
+
+    Blender leaves an object that the viewport hides where it was when last seen: lamps, unlike meshes, are read from
+    the viewport's depsgraph at each frame. Nothing is touched where no lamp sleeps.
+    """
+    shown = rendered_objects(view_layer)
+    lamps = {obj for obj in shown if obj.type == "LIGHT" and obj.library is None}
+    switches, woken = _Switches(), set()
+
+    def visit(layer, hidden) -> bool:
+        """Show lamps in a collection that is in the viewport; whether any was hidden."""
+        hidden = hidden or layer.collection.hide_viewport
+        found = False
+        if not layer.exclude:
+            here = [obj for obj in layer.collection.objects if obj in lamps and (hidden or obj.hide_viewport)]
+            for obj in here:
+                switches.set(obj, "hide_viewport", False)
+            woken.update(here)
+            found = bool(here)
+        for child in layer.children:
+            found = visit(child, hidden) or found
+        if found and layer.collection.library is None:
+            switches.set(layer.collection, "hide_viewport", False)
+        return found
+
+    try:
+        visit(view_layer.layer_collection, False)
+        if switches.undo:
+            for item in _movers(woken):
+                # what is new in the depsgraph comes with the values of the frame at which it was last in it
+                item.update_tag(refresh={"TIME"})
+            view_layer.update()
+        yield
+    finally:
+        switches.restore()
+        if switches.undo:
+            view_layer.update()
+
+
+def _movers(objects) -> set[bpy.types.ID]:
+    """The objects, their data, and all objects that move them as parents or targets of constraints."""
+    found, pending = set(), list(objects)
+    while pending:
+        item = pending.pop()
+        if item is None or item in found:
+            continue
+        found.add(item)
+        if isinstance(item, bpy.types.Object):
+            pending += [item.data, item.parent, *(getattr(each, "target", None) for each in item.constraints)]
+    return found

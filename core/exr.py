@@ -28,13 +28,14 @@ BRIGHTEST, DIMMEST = 65504.0, 1e-3
 """Half floats hold pictures whose largest value lies between these to 0.05 % of each value or 0.003 % of the largest."""
 
 
-def writing(path: Path, picture: np.ndarray) -> Iterator[float]:
+def writing(path: Path, picture: np.ndarray, exact: bool = False) -> Iterator[float]:
     """Write (H, W, 3) float32, its first row at the bottom, to `path`; yields the fraction done every two megabytes.
 
-    Values are half floats where those hold them (see BRIGHTEST), and as they are elsewhere. Raises OSError.
+    Values are half floats where those hold them (see BRIGHTEST) and need not be exact, and as they are elsewhere. Raises
+    OSError.
     """
     height, width = picture.shape[:2]
-    half = fits_half(picture)
+    half = not exact and fits_half(picture)
     rows = picture[::-1]
     starts = range(0, height, LINES)
     each = max(1, STEP // (LINES * width * 3 * (2 if half else 4)))

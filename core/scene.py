@@ -71,6 +71,7 @@ class Light:
     casts_shadow: whether anything blocks it.
     live: whether it may change after the bake. A lamp that is not belongs to the light that the bake holds, like the
         sky; it costs no panes, and relighting leaves it alone.
+    group: of lamps whose light is wanted by itself, "" for none.
     """
 
     name: str
@@ -86,6 +87,7 @@ class Light:
     spread: float = np.pi
     casts_shadow: bool = True
     live: bool = True
+    group: str = ""
 
     def __post_init__(self):
         if self.kind not in LIGHT_KINDS:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..planner import Settings
 from ..scene import Scene
+from .cache import VERSION, Cache
 
 T = TypeVar("T")
 
@@ -20,33 +21,56 @@ class Cancelled(Exception):
 
 
 class Kept:
-    """Finished parts of one bake, in memory, by name."""
+    """Finished parts of one bake, by name: in memory, and after a cancel in `cache` too, where there is one."""
 
-    def __init__(self):
+    def __init__(self, cache: Cache | None = None):
         self.key = b""
         self.parts: dict[str, object] = {}
+        self.cache = cache
+        # what the memory needs no more and a file would
+        self._dropped: dict[str, object] = {}
 
     def open(self, scene: Scene, settings: Settings) -> None:
         """Forget everything that belongs to another scene or to other settings."""
         key = digest(scene, settings)
         if key != self.key:
-            self.clear()
+            self._forget()
             self.key = key
 
     def clear(self) -> None:
+        """The bake is done, or can't be: forget its parts, those in files too."""
+        if self.cache is not None and self.key:
+            self.cache.forget(self._file_key)
+        self._forget()
+
+    def _forget(self) -> None:
         self.key = b""
-        self.parts = {}
+        self.parts, self._dropped = {}, {}
 
     def drop(self, *names: str) -> None:
         """Forget parts that another one holds by now."""
         for name in names:
-            self.parts.pop(name, None)
+            part = self.parts.pop(name, None)
+            if part is not None and self.cache is not None:
+                self._dropped[name] = part
 
     def part(self, name: str, make: Callable[[], T]) -> T:
         """What `make` returned when it first finished."""
         if name not in self.parts:
-            self.parts[name] = make()
+            part = self.cache.load(self._file_key, digest(name)) if self.cache is not None else None
+            self.parts[name] = make() if part is None else part
         return self.parts[name]
+
+    def save(self) -> None:
+        """Write to files what is finished by now, as far as it can be."""
+        if self.cache is not None and self.key:
+            for name, part in (self._dropped | self.parts).items():
+                self.cache.save(self._file_key, digest(name), part)
+
+    @property
+    def _file_key(self) -> bytes:
+        """Other versions may count otherwise."""
+        return digest(self.key, VERSION, np.__version__)
 
 
 def digest(*things: object) -> bytes:

@@ -42,6 +42,7 @@ def bake(
     try:
         result = _bake(scene, settings, Clock(progress), kept)
     except Cancelled:
+        kept.save()
         raise
     except BaseException:
         # it may have ended in the middle of a chunk

@@ -135,6 +135,28 @@ class Relighter:
         """(resolution, resolution, 4) float32 indirect irradiance of the atlas under these lamps; see `image`."""
         return self.image(self.light(lights))
 
+    def shares(self, groups: Sequence[Sequence[Light]]) -> tuple[list[np.ndarray], np.ndarray]:
+        """What each group of lamps adds to the image, and the steady light: (resolution, resolution, 3) float32 each.
+
+        They sum up to `relight` of all lamps. Light is linear, so nothing is cut off below zero, where noise may bring
+        a group: the last one holds what cutting it off makes of the whole.
+        """
+        whole = self.relight([light for group in groups for light in group])[..., :3].copy()
+        steady = self._display.image(self._steady.copy())[..., :3].copy()
+        unit, weights = self._unit, self._weights
+        parts = []
+        for group in groups:
+            light = self.combine(self.pane_weights(group)).copy()
+            self._display.finish(light)
+            # images hold nothing below zero
+            above = self._display.image(light.copy())[..., :3].copy()
+            parts.append(above - self._display.image(-light)[..., :3])
+            # of all lamps, for the next group and the next relight
+            self._unit, self._weights = unit, weights
+        if parts:
+            parts[-1] += whole - steady - np.sum(parts, axis=0)
+        return parts, steady
+
 
 def _blocks(rows, starts):
     """Panes cut into blocks of BLOCK rows of one region, so that one batched product blends them all.

@@ -29,9 +29,10 @@ class Begun:
     done: set[int] = field(default_factory=set)
 
     def rows_of(self, shape: tuple[int, ...]) -> np.ndarray:
-        """The rows, of 0 where nothing has landed yet."""
-        if self.rows is None:
+        """The rows, of 0 where nothing has landed yet; those of another gather count for nothing."""
+        if self.rows is None or self.rows.shape != shape:
             self.rows = np.zeros(shape, np.float32)
+            self.done.clear()
         return self.rows
 
 

@@ -42,7 +42,7 @@ def in_use(scene):
     points = store.find_points(scene)
     if points is not None:
         found |= {("objects", points.name), ("meshes", points.data.name)}
-    group = nodes._group_of(scene)
+    group = nodes.group_of(scene)
     if group is not None:
         found.add(("node_groups", group.name))
     return found | {("collections", c.name) for c in scene.collection.children if store.TAG in c}
@@ -162,6 +162,11 @@ class Sequences(RuleBasedStateMachine):
     @rule()
     def save(self):
         bpy.ops.wm.save_as_mainfile(filepath=str(self.file))
+
+    @rule(storage=st.sampled_from(["PACKED", "BESIDE"]))
+    def store_images(self, storage):
+        self.scene.lightpanes.storage = storage
+        self.push("Images")
 
     @rule()
     def reload(self):

@@ -37,7 +37,7 @@ def rows() -> Iterator[dict]:
 def _added(scene, engine) -> np.ndarray:
     """(H, W, 3): a render with the bake less one without it."""
     with_it = _render(scene, engine)
-    group = nodes._group_of(scene)
+    group = nodes.group_of(scene)
     end = next(node for node in group.nodes if node.type == "GROUP_OUTPUT")
     entrance = next(node for node in group.nodes if node.type == "GROUP_INPUT")
     before = end.inputs["Shader"].links[0].from_socket

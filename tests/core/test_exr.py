@@ -103,3 +103,11 @@ def test_it_stops_between_steps(tmp_path, monkeypatch):
     steps.close()
     (tmp_path / "b.exr").unlink()
     assert np.array_equal(read(tmp_path / "a.exr")[0], picture(40, 8).astype(np.float16))
+
+
+def test_exact_values_stay_as_they_are(tmp_path):
+    values = picture(20, 7)
+    for _ in exr.writing(tmp_path / "a.exr", values, exact=True):
+        pass
+    found, half = read(tmp_path / "a.exr")
+    assert not half and np.array_equal(found, values)

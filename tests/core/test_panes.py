@@ -144,6 +144,32 @@ def test_light_is_in_proportion_to_power(place, power, factor):
     assert np.allclose(more, factor * once, rtol=1e-3, atol=1e-4 * max(factor * np.abs(once).max(), 1e-3))
 
 
+def test_shares_of_lamps_add_up():
+    lights = [lamp((1.0, 1.0, 2.0)), lamp((0.5, 2.0, 1.0)), lamp((1.5, 0.5, 0.7))]
+    relighter = room_relighter()
+    whole = relighter.relight(lights)[..., :3].copy()
+    parts, steady = relighter.shares([lights[:2], [], lights[2:]])
+    assert not steady.any() and not parts[1].any()
+    assert np.allclose(sum(parts) + steady, whole, rtol=1e-5, atol=1e-6 * whole.max())
+    for part, group in ((parts[0], lights[:2]), (parts[2], lights[2:])):
+        off = np.abs(part - relighter.relight(group)[..., :3])
+        assert part.mean() > 0 and (off > 1e-5 * whole.max()).mean() < 0.01
+    assert np.array_equal(relighter.relight(lights)[..., :3], whole)
+
+
+def test_shares_cost_no_shadow_rays(monkeypatch):
+    """The lamps' light is known from the whole."""
+    lights = [lamp((1.0, 1.0, 2.0)), lamp((0.5, 2.0, 1.0))]
+    relighter, counts = room_relighter(), []
+    unit = relighter.entry_light.unit
+    monkeypatch.setattr(relighter.entry_light, "unit", lambda light: counts.append(light) or unit(light))
+    relighter.relight([])
+    counts.clear()
+    relighter.shares([lights[:1], lights[1:]])
+    relighter.relight(lights)
+    assert len(counts) == 2
+
+
 def test_no_lamps_is_black():
     assert not shine([]).any()
     assert not shine([((3, 1.5, 2), (0, 0, 0))]).any()
