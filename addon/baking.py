@@ -77,7 +77,7 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         def told(now):
             progress(Progress(now.stage, READ + (BAKED - READ) * now.fraction, now.rays, now.error, now.seconds_left))
 
-        result = bake(surfaces, settings, told, kept)
+        result = bake(surfaces, settings, told, kept, time.perf_counter() - start)
         points.remember(result, surfaces)
         return result, Relighter(result.panes(), Tracer(surfaces)), store.key_of(result)
 

@@ -39,7 +39,7 @@ IN_PLACE = 400
 IN_POINT = 600
 
 FURTHEST = 5.0
-"""The last bake corrects the model by this factor at most: it may have been on another machine, or begun elsewhere."""
+"""The last bake corrects the model by this factor at most: it may have been on another machine."""
 
 
 @dataclass(frozen=True)
@@ -101,12 +101,14 @@ def _triangles(item: bpy.types.Object) -> int:
 
 
 def _correction(facts) -> float:
-    """Seconds of the scene's last bake over those that the model gives for it; 1 without one."""
+    """Seconds of the scene's last bake, cancelled goes at it included, over those that the model gives for it; 1 without
+    one."""
     report = (store.read_meta(facts.scene) or {}).get("report", {})
     try:
         budget, places = Budget(**report["budget"]), report["texels"] + report.get("vertices", 0)
         live = "panes" not in report["skipped"]
         said, _ = model(budget, report["triangles"], places, report["exits"] != "texels", live)
-        return min(max(report["total_seconds"] / said, 1 / FURTHEST), FURTHEST)
+        took = report["total_seconds"] + report.get("earlier_seconds", 0.0)
+        return min(max(took / said, 1 / FURTHEST), FURTHEST)
     except (KeyError, TypeError):
         return 1.0

@@ -20,11 +20,13 @@ class Cancelled(Exception):
 
 
 class Kept:
-    """Finished parts of one bake, in memory, by name."""
+    """Finished parts of one bake, in memory, by name.
+
+    seconds: that the cancelled bakes took, all together; reached: how far they came, a fraction of the whole.
+    """
 
     def __init__(self):
-        self.key = b""
-        self.parts: dict[str, object] = {}
+        self.clear()
 
     def open(self, scene: Scene, settings: Settings) -> None:
         """Forget everything that belongs to another scene or to other settings."""
@@ -35,7 +37,8 @@ class Kept:
 
     def clear(self) -> None:
         self.key = b""
-        self.parts = {}
+        self.parts: dict[str, object] = {}
+        self.seconds = self.reached = 0.0
 
     def drop(self, *names: str) -> None:
         """Forget parts that another one holds by now."""
