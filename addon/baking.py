@@ -6,6 +6,7 @@ back. While core works the scene is as it was before, so that whatever ends the 
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Generator
 
@@ -126,7 +127,8 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
     relight.pack()
     report["total_seconds"] = round(time.perf_counter() - start, 3)
     store.write_meta(scene, result.meta)
-    yield Progress("Done", 1.0, report["rays"])
+    with contextlib.suppress(Cancelled):
+        yield Progress("Done", 1.0, report["rays"])
     return report
 
 

@@ -112,6 +112,14 @@ def test_cancelled_once_the_new_bake_is_there_it_is_finished(room, monkeypatch, 
     assert not store.find_image(room, store.IRRADIANCE).is_dirty
 
 
+def test_cancelled_at_its_very_end_it_is_finished(room, monkeypatch):
+    monkeypatch.setattr(job, "SLICE", 0.0)
+    running = drive(lambda progress: progress.stage == "Done" and progress.fraction == 1)
+    assert not running.ended
+    running.cancel()
+    assert running.ended and running.report["error"] < 0.5 and not running.error
+
+
 def test_a_second_press_goes_on_from_there(room):
     whole = baking.bake_scene(bpy.context)
     images = {name: image.tobytes() for name, image in store.load_bake(room).images.items()}
