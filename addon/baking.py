@@ -6,7 +6,6 @@ back. While core works the scene is as it was before, so that whatever ends the 
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Callable, Generator
 
@@ -127,8 +126,7 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
     relight.pack()
     report["total_seconds"] = round(time.perf_counter() - start, 3)
     store.write_meta(scene, result.meta)
-    with contextlib.suppress(Cancelled):
-        yield Progress("Done", 1.0, report["rays"])
+    yield from ending.turn(1.0, "Done")
     return report
 
 
@@ -144,10 +142,10 @@ class _Ending:
     def __init__(self, rays: int):
         self.rays, self.hurry = rays, False
 
-    def turn(self, fraction: float) -> Generator[Progress, None, None]:
+    def turn(self, fraction: float, stage: str = "Storing") -> Generator[Progress, None, None]:
         if not self.hurry:
             try:
-                yield Progress("Storing", fraction, self.rays)
+                yield Progress(stage, fraction, self.rays)
             except Cancelled:
                 self.hurry = True
 
