@@ -6,7 +6,6 @@ back. While core works the scene is as it was before, so that whatever ends the 
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Callable, Generator
 
@@ -21,8 +20,8 @@ from .preflight import check as preflight
 from .snapshot import Snapshot
 from .work import Work, mapped, run
 
-# Parts of the whole at which reading the scene, and core's work, end.
-ATLAS, READ, BAKED = 0.03, 0.05, 0.97
+# Parts of the whole at which reading the scene, core's work, and building what is stored end.
+ATLAS, READ, BAKED, STORED = 0.03, 0.05, 0.97, 0.98
 
 
 def bake_scene(context: bpy.types.Context, progress: Callable[[Progress], None] | None = None) -> dict:
@@ -78,49 +77,78 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         def told(now):
             progress(Progress(now.stage, READ + (BAKED - READ) * now.fraction, now.rays, now.error, now.seconds_left))
 
-        result = bake(surfaces, settings, told, kept)
-        return result, Relighter(result.panes(), Tracer(surfaces))
+        result = bake(surfaces, settings, told, kept, time.perf_counter() - start)
+        points.remember(result, surfaces)
+        return result, Relighter(result.panes(), Tracer(surfaces)), store.key_of(result)
 
     del scene, asked, objects, at_vertices
-    result, relighter = yield Work(work, alone=True)
+    result, relighter, key = yield Work(work, alone=True)
     scene = context.scene
-    yield Progress("Storing", BAKED, result.meta["report"]["rays"])
-    edited = planned.edited()
-    if edited:
-        raise SceneError(f"Mesh '{edited[0]}' was edited while the bake ran: bake again.")
-    now = extract.fingerprint(context)
     report = result.meta["report"]
+    yield Progress("Storing", BAKED, report["rays"])
     report["warnings"] = warnings + [w for w in report.get("warnings", []) if w not in warnings]
     result.meta["static"] = {lamp.name: relight.lamp_key([lamp]) for lamp in surfaces.lights if not lamp.live}
-    points.remember(result, surfaces)
-    yield Progress("Storing", 0.98, report["rays"])
-    # again: undo may have brought back an older one
-    before = Snapshot(scene, [item for item in scene.objects if item.type == "MESH" and store.TAG not in item])
+    _refuse_edited(planned)
+    built = yield from mapped(
+        store.build_steps(result, surfaces.albedo_map, key),
+        lambda part: Progress("Storing", BAKED + (STORED - BAKED) * part, report["rays"]),
+    )
     try:
-        with relight.paused():
-            planned.restore()
-            store.store_bake(scene, result, surfaces.albedo_map)
+        yield Progress("Storing", STORED, report["rays"])
+        _refuse_edited(planned)
+        # again: undo may have brought back an older one
+        before = Snapshot(scene, [item for item in scene.objects if item.type == "MESH" and store.TAG not in item])
+        try:
+            with relight.paused():
+                planned.restore()
+                store.put(scene, built)
+        except BaseException:
+            before.restore()
+            raise
     except BaseException:
-        before.restore()
+        store.discard(built)
         raise
     with relight.paused():
         vertices.keep(context, surfaces, loops)
         claims.claim(scene)
         relight.adopt(scene, relighter)
+    ending = _Ending(report["rays"])
+    yield from ending.turn(0.985)
+    with relight.paused():
+        now = extract.fingerprint(context)
         report["warnings"] += nodes.attach(context, surfaces)
         # after attaching, which may give materials to objects that have none; but what changed meanwhile is stale
         late = {name: found.get(name, "") for name in extract.changed_objects(found, now) if name in found}
         result.meta["fingerprint"] = extract.fingerprint(context) | late
         store.write_meta(scene, result.meta)
-    with contextlib.suppress(Cancelled):
-        # too late: the new bake is in place
-        yield Progress("Storing", 0.99, report["rays"])
+    yield from ending.turn(0.99)
     report["relight_ms"] = round(relight.relight(context), 2)
-    report["total_seconds"] = round(time.perf_counter() - start, 3)
+    yield from ending.turn(0.995)
     relight.pack()
+    report["total_seconds"] = round(time.perf_counter() - start, 3)
     store.write_meta(scene, result.meta)
-    yield Progress("Done", 1.0, report["rays"])
+    yield from ending.turn(1.0, "Done")
     return report
+
+
+def _refuse_edited(planned: Snapshot) -> None:
+    edited = planned.edited()
+    if edited:
+        raise SceneError(f"Mesh '{edited[0]}' was edited while the bake ran: bake again.")
+
+
+class _Ending:
+    """Turns for Blender once the new bake is in place, when it is too late to cancel: whoever does gets all the rest."""
+
+    def __init__(self, rays: int):
+        self.rays, self.hurry = rays, False
+
+    def turn(self, fraction: float, stage: str = "Storing") -> Generator[Progress, None, None]:
+        if not self.hurry:
+            try:
+                yield Progress(stage, fraction, self.rays)
+            except Cancelled:
+                self.hurry = True
 
 
 def clear_scene(context: bpy.types.Context) -> bool:

@@ -106,6 +106,8 @@ class Job:
         try:
             with self._in_its_scene():
                 self.progress = self.steps.throw(error)
+        except StopIteration as end:
+            self.report, self.ended = end.value, True
         except BaseException as raised:
             self._end(raised)
 

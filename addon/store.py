@@ -9,8 +9,11 @@ becomes valid by setting one pointer after all of it has been built.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
+from collections.abc import Generator
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -19,6 +22,7 @@ import numpy as np
 from ..core.bake import Bake
 from ..core.scene import SceneError
 from . import refresh
+from .work import run
 
 COLLECTION = "Lightpanes"
 ENTRIES = "Lightpanes Entries"
@@ -26,6 +30,7 @@ POINTS = "Lightpanes Points"
 IRRADIANCE = "Lightpanes Irradiance"
 DIRECT = "Lightpanes Direct"
 ALBEDO = "Lightpanes Albedo"
+SHOWN = (IRRADIANCE, DIRECT, ALBEDO)
 
 # Custom properties. TAG marks every data-block that is ours to delete; it holds the data-block's role. It is not
 # named "lightpanes", which on objects is the PropertyGroup.
@@ -51,6 +56,15 @@ _ATTRIBUTE_FIELDS = {
 _FLAT_WIDTH = 1024
 
 
+@dataclass
+class Built:
+    """A bake's data-blocks, in the file but not yet the bake of a scene. images: by role."""
+
+    entries: bpy.types.Object
+    points: bpy.types.Object | None
+    images: dict[str, bpy.types.Image]
+
+
 def store_bake(scene: bpy.types.Scene, bake: Bake, albedo: np.ndarray | None = None) -> bpy.types.Object:
     """Make `bake` the scene's bake, in place of the one it has.
 
@@ -58,34 +72,60 @@ def store_bake(scene: bpy.types.Scene, bake: Bake, albedo: np.ndarray | None = N
     Everything new is built before anything old is touched; if building fails, the new parts are removed again, the
     old bake stays and the exception goes on.
     """
+    return put(scene, run(build_steps(bake, albedo, key_of(bake))))
+
+
+def build_steps(bake: Bake, albedo: np.ndarray | None, key: str) -> Generator[float, None, Built]:
+    """Build a bake's data-blocks, an image at a time; yields the part that is done. What ends it removes them again.
+
+    key: from `key_of`, which takes a while and needs no Blender.
+    """
     made: list[bpy.types.ID] = []
+    size = (bake.resolution, bake.resolution)
+    pictures = dict(bake.images)
+    pictures[IRRADIANCE] = np.zeros((*size, 3), np.float32)
+    if bake.direct is not None:
+        pictures[DIRECT] = bake.direct
+    if albedo is not None:
+        pictures[ALBEDO] = albedo
+    total = sum(array.size for array in pictures.values())
+    images, done = {}, 0
     try:
-        images = {role: _write_array(role, array, made) for role, array in bake.images.items()}
-        size = (bake.resolution, bake.resolution)
-        images[IRRADIANCE] = _write_pixels(IRRADIANCE, _opaque(np.zeros((*size, 3), np.float32)), made)
-        if bake.direct is not None:
-            images[DIRECT] = _write_pixels(DIRECT, _opaque(bake.direct), made)
-        if albedo is not None:
-            images[ALBEDO] = _write_pixels(ALBEDO, _opaque(albedo), made)
+        for role, array in pictures.items():
+            images[role] = _opaque_image(role, array, made) if role in SHOWN else _array_image(role, array, made)
+            yield (done + array.size / 2) / max(total, 1)
+            images[role].pack()
+            done += array.size
+            yield done / max(total, 1)
         points, specs = _write_points(bake, made)
         entries = _write_entries(bake, images, points, specs, made)
-        collection = _collection(scene)
+        entries.data[KEY] = key
     except BaseException:
         _remove(made)
         raise
-    old = scene.lightpanes.entries
-    collection.objects.link(entries)
-    if points is not None:
-        collection.objects.link(points)
-    scene.lightpanes.entries = entries
+    return Built(entries, points, images)
+
+
+def put(scene: bpy.types.Scene, built: Built) -> bpy.types.Object:
+    """Make what was built the scene's bake, in place of the one it has; the old one is deleted."""
+    collection, old = _collection(scene), scene.lightpanes.entries
+    collection.objects.link(built.entries)
+    if built.points is not None:
+        collection.objects.link(built.points)
+    scene.lightpanes.entries = built.entries
     for former in {old, *strays(scene)} - {None}:
         _remove_bake(former)
-    for role, image in images.items():
+    for role, image in built.images.items():
         image.name = role
-    entries.name = entries.data.name = ENTRIES
-    if points is not None:
-        points.name = points.data.name = POINTS
-    return entries
+    built.entries.name = built.entries.data.name = ENTRIES
+    if built.points is not None:
+        built.points.name = built.points.data.name = POINTS
+    return built.entries
+
+
+def discard(built: Built) -> None:
+    """Delete what was built, unless it is some scene's bake."""
+    _remove_bake(built.entries)
 
 
 def load_bake(scene: bpy.types.Scene) -> Bake | None:
@@ -244,31 +284,35 @@ def sweep() -> None:
     _remove([image for image in bpy.data.images if TAG in image and not image.users and image.library is None])
 
 
-def _opaque(rgb: np.ndarray) -> np.ndarray:
-    return np.concatenate([rgb[..., :3].astype(np.float32), np.ones((*rgb.shape[:2], 1), np.float32)], axis=2)
+def _opaque_image(role: str, rgb: np.ndarray, made: list) -> bpy.types.Image:
+    """Colours (H, W, 3) as an image that is not packed yet."""
+    opaque = np.ones((*rgb.shape[:2], 4), np.float32)
+    opaque[..., :3] = rgb
+    return _new_image(role, opaque, opaque.shape, made)
 
 
-def _write_array(role: str, array: np.ndarray, made: list) -> bpy.types.Image:
-    """Any float32 array as an image; (H, W, 4) is a picture as it is, others are laid out row by row."""
+def _array_image(role: str, array: np.ndarray, made: list) -> bpy.types.Image:
+    """Any float32 array as an image that is not packed yet; (H, W, 4) is a picture as it is, others are laid out row by
+    row."""
     array = np.ascontiguousarray(array, np.float32)
     if array.ndim == 3 and array.shape[2] == 4 and array.size and max(array.shape) <= 16384:
-        return _write_pixels(role, array, made)
+        return _new_image(role, array, array.shape, made)
     rows = max(1, -(-array.size // (4 * _FLAT_WIDTH)))
     flat = np.zeros(rows * _FLAT_WIDTH * 4, np.float32)
     flat[: array.size] = array.reshape(-1)
-    return _write_pixels(role, flat.reshape(rows, _FLAT_WIDTH, 4), made, shape=array.shape)
+    return _new_image(role, flat.reshape(rows, _FLAT_WIDTH, 4), array.shape, made)
 
 
-def _write_pixels(role: str, pixels: np.ndarray, made: list, shape: tuple | None = None) -> bpy.types.Image:
+def _new_image(role: str, pixels: np.ndarray, shape: tuple, made: list) -> bpy.types.Image:
+    """pixels: (H, W, 4) float32. shape: of the array that they hold."""
     height, width = pixels.shape[:2]
     image = bpy.data.images.new(role, width, height, alpha=True, float_buffer=True, is_data=True)
     made.append(image)
-    image.alpha_mode = "CHANNEL_PACKED"  # no multiplying by alpha on the way
-    image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).reshape(-1))
-    image.update()
-    image.pack()
     image[TAG] = role
-    image[SHAPE] = json.dumps(list(pixels.shape if shape is None else shape))
+    image[SHAPE] = json.dumps(list(shape))
+    image.alpha_mode = "CHANNEL_PACKED"  # no multiplying by alpha on the way
+    image.pixels.foreach_set(pixels.reshape(-1))
+    image.update()
     return image
 
 
@@ -337,16 +381,14 @@ def _write_entries(bake: Bake, images: dict, points, points_specs: dict, made: l
     mesh[LAYOUT] = json.dumps(layout)
     mesh[META] = json.dumps(bake.meta)
     mesh[IMAGES] = images
-    mesh[KEY] = _key(bake)
     if points is not None:
         mesh[POINTS_KEY] = points
     mesh.update()
     return _hidden_object(ENTRIES, mesh, made)
 
 
-def _key(bake: Bake) -> str:
-    import hashlib
-
+def key_of(bake: Bake) -> str:
+    """Differs when any array of the bake does."""
     digest = hashlib.blake2b(digest_size=12)
     for arrays in (bake.images, bake.entries, bake.points):
         for name, array in arrays.items():

@@ -26,6 +26,7 @@ GERMAN = {
     "Relight": "Neu beleuchten",
     "Triangles": "Dreiecke",
     "Surfaces": "Flächen",
+    "Pilot": "Probelauf",
     "Transport": "Transport",
     "Exits": "Ausgänge",
     "Check": "Prüfung",

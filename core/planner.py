@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
 
 from .scene import Scene, SceneError
 
 EXITS = ("auto", "points", "texels", "atlas")
+
+LEAST = {
+    "entries": 800,
+    "entry_rays": 256,
+    "exit_rays": 16,
+    "regions": 48,
+    "lamps": 400,
+    "points": 1000,
+    "point_rays": 64,
+}
+"""What a time budget cuts budgets to at most: with less, a bake takes hardly less time."""
+
+POINT_RAYS = 130
+"""Rays that take as long as to find a point and place it."""
 
 POINTS_PAY = 4
 """Rays of texels over those of points at which points begin to be the cheaper exits."""
@@ -88,8 +104,63 @@ def plan(scene: Scene, settings: Settings) -> Budget:
         points=_clamp(max(12_000, len(scene.triangles) / 4) * finer, 1000, 60_000),
         point_rays=_clamp(1024 * finer**0.5, 128, 4096),
     )
+    return _as_given(budget, settings)
+
+
+def _as_given(budget: Budget, settings: Settings) -> Budget:
     given = {name: value for name in Budget.__dataclass_fields__ if (value := getattr(settings, name)) is not None}
     return replace(budget, **given)
+
+
+def part_of(budget: Budget, settings: Settings, part: float) -> Budget:
+    """Budgets that take about `part` of the time, in [0, 1], of `budget`, down to the least that are of use; those that
+    the settings give stay."""
+    root = part**0.5
+    scales = {"entries": root, "lamps": root, "regions": root**0.5, "panes": 1.0}
+    cut = {
+        name: _clamp(most * scales.get(name, part), min(LEAST.get(name, most), most), most)
+        for name, most in asdict(budget).items()
+    }
+    return _as_given(Budget(**cut), settings)
+
+
+@dataclass(frozen=True)
+class Took:
+    """What a bake's stages took with a budget, s, and what its transport traced, rays."""
+
+    budget: Budget
+    entries: float
+    transport: float
+    lamps: float
+    panes: float
+    rays: int
+
+    def foresee(self, budget: Budget, places: int) -> float:
+        """s that the same stages, and the gather from exits, take with another budget. places: texels that are exits, 0
+        where points are."""
+        was = self.budget
+        more = budget.entries / was.entries
+        near = was.entries * was.entry_rays
+        pairs = max(self.rays - near, 0)
+        traced = budget.entries * budget.entry_rays + pairs * more**2
+        gathered = places * budget.exit_rays or budget.points * (budget.point_rays + POINT_RAYS)
+        modes = budget.regions * budget.panes / (was.regions * was.panes) * budget.lamps / was.lamps
+        return (
+            self.entries
+            + self.transport * (traced + 1.1 * gathered) / max(self.rays, 1)
+            + self.lamps * more * budget.lamps / was.lamps
+            + self.panes * more * max(more, modes)
+        )
+
+
+def fit(budget: Budget, settings: Settings, took: Took, places: int, left: float) -> Budget | None:
+    """The largest part of `budget` that fits into `left` seconds, by what a small one took; None where that is hardly
+    larger than the small one."""
+    for part in np.geomspace(1, 0.01, 60):
+        smaller = part_of(budget, settings, part)
+        if took.foresee(smaller, places) <= left:
+            return smaller if smaller.entries > 1.2 * took.budget.entries else None
+    return None
 
 
 def needs_panes(scene: Scene) -> bool:

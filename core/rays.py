@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .scene import Scene
+from .scene import Scene, used_rows
 
 UNUSABLE = ""
 """Why embreex does not load here, in its own words; empty where it does."""
@@ -96,16 +96,41 @@ class Hits(NamedTuple):
     distance: np.ndarray
 
 
-class Bvh:
-    """Embree's hierarchy over (T, 3, 3) float32 triangle corners, in metres. Raises EngineError without embreex."""
+class _Numbers(np.ndarray):
+    """Gives its numbers one by one, in Python, so that other threads get their turn in between.
 
-    def __init__(self, corners: np.ndarray):
+    embreex reads a mesh number by number and holds the GIL meanwhile, a quarter of a second for 100,000 triangles.
+    """
+
+    def __getitem__(self, key):
+        return self.item(key)
+
+
+class _Rows(np.ndarray):
+    """The same for the rows of an array, of which `rows` is the list."""
+
+    def __getitem__(self, key):
+        return self.rows[key]
+
+
+class Bvh:
+    """Embree's hierarchy over triangles, in metres: corners (T, 3, 3) float32, or, in less time, positions (V, 3) float32
+    and triangles (T, 3) int, the positions of each one's corners. Raises EngineError without embreex."""
+
+    def __init__(self, corners: np.ndarray, triangles: np.ndarray | None = None):
         if UNUSABLE:
             raise EngineError(f"Tracing rays needs embreex, which does not load here ({UNUSABLE}).")
-        self.size = len(corners)
+        self.size = len(corners if triangles is None else triangles)
         self._scene = EmbreeScene()
         if self.size:
-            TriangleMesh(self._scene, np.ascontiguousarray(corners, np.float32))
+            named = None
+            if triangles is not None:
+                used = used_rows(triangles, len(corners))
+                number = np.zeros(len(corners), np.int32)
+                number[used] = np.arange(len(used))
+                corners, named = corners[used], number[triangles].view(_Rows)
+                named.rows = [row for s in chunks(self.size, 65536) for row in number[triangles[s]].tolist()]
+            TriangleMesh(self._scene, np.ascontiguousarray(corners, np.float32).view(_Numbers), named)
             # Embree builds at the first query; do it here, on one thread
             self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
 
@@ -172,8 +197,7 @@ def sample_map(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
 class Tracer:
     """Shadow rays of a scene.
 
-    offset: m; lift origins off their surface by this much along the geometric normal. solid_corners: (n, 3, 3) float32,
-    m, the opaque triangles that cast shadows; glass_corners: those that let some light straight through.
+    offset: m; lift origins off their surface by this much along the geometric normal.
     """
 
     def __init__(self, scene: Scene, threads: int | None = None):
@@ -181,12 +205,11 @@ class Tracer:
         casts = np.array([o.casts_shadow for o in scene.objects], bool)[scene.triangle_object]
         self.transmission = Transmission(scene)
         see_through = self.transmission.see_through
-        corners = scene.positions[scene.triangles]
-        self.solid_corners = corners[casts & ~see_through]
-        self._solid = Bvh(self.solid_corners)
+        self.scene = scene
+        self._opaque = np.flatnonzero(casts & ~see_through)
+        self._solid = Bvh(scene.positions, scene.triangles[self._opaque])
         self._panes_of_glass = np.flatnonzero(casts & see_through)
-        self.glass_corners = corners[self._panes_of_glass]
-        self._glass = Bvh(self.glass_corners)
+        self._glass = Bvh(scene.positions, scene.triangles[self._panes_of_glass])
         # float32 steps grow with the distance from the origin, lifts must exceed them
         reach = float(np.abs(scene.positions).max(initial=0.0))
         self.offset = max(2e-5 * scene.extent, 4e-7 * reach)
@@ -196,6 +219,16 @@ class Tracer:
         single = copy.copy(self)
         single.threads = 1
         return single
+
+    @property
+    def solid_corners(self) -> np.ndarray:
+        """(n, 3, 3) float32 corners, m, of the opaque triangles that cast shadows."""
+        return self.scene.positions[self.scene.triangles[self._opaque]]
+
+    @property
+    def glass_corners(self) -> np.ndarray:
+        """(n, 3, 3) float32 corners, m, of those that let some light straight through."""
+        return self.scene.positions[self.scene.triangles[self._panes_of_glass]]
 
     @property
     def has_glass(self) -> bool:

@@ -6,6 +6,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+now = time.perf_counter
+"""s; the clock of all bakes."""
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -20,13 +23,16 @@ class Progress:
 
 
 class Clock:
-    """Reports progress and remembers the seconds of each stage.
+    """Reports progress and remembers the seconds of each stage, and the rays that it traced.
 
-    progress: called with a Progress; an exception that it raises passes through and cancels the bake.
+    progress: called with a Progress; an exception that it raises passes through and cancels the bake. earlier: s that
+    cancelled bakes, from which this one goes on, took for `reached`, a fraction of the whole. ahead: s of a time budget
+    that were spent before the bake began.
     """
 
     STAGES = {
         "Surfaces": 0.03,
+        "Pilot": 0.05,
         "Entries": 0.10,
         "Transport": 0.40,
         "Lamps": 0.52,
@@ -37,35 +43,54 @@ class Clock:
     }
     """Where in the whole each stage ends."""
 
-    def __init__(self, progress: Callable[[Progress], None] | None = None):
+    def __init__(
+        self,
+        progress: Callable[[Progress], None] | None = None,
+        earlier: float = 0.0,
+        reached: float = 0.0,
+        ahead: float = 0.0,
+    ):
         self.progress = progress
+        self.earlier, self.reached, self.ahead = earlier, reached, ahead
         self.seconds: dict[str, float] = {}
+        self.traced: dict[str, int] = {}
         self.rays = 0
         self.error: float | None = None
-        self.began = time.perf_counter()
+        self.began = now()
         self._stage, self._stage_began = "", self.began
-        self._done, self._total = 0, 1
+        self._done, self._total, self._rays_before = 0, 1, 0
 
     @property
     def spent(self) -> float:
         """s since the bake began."""
-        return time.perf_counter() - self.began
+        return now() - self.began
 
     def start(self, stage: str, steps: int = 1) -> None:
         """Begin one of STAGES, which will tick `steps` steps (rays, where it traces)."""
         self.stop()
-        self._stage, self._stage_began = stage, time.perf_counter()
-        self._done, self._total = 0, max(steps, 1)
+        self._stage, self._stage_began = stage, now()
+        self._done, self._total, self._rays_before = 0, max(steps, 1), self.rays
         self.tick(0)
 
     def skip(self, steps: int) -> None:
         """Steps that an earlier bake did."""
         self._done += steps
 
+    def pilot(self) -> Clock:
+        """For a smaller bake within this stage: its progress is the stage's, its rays are the whole bake's."""
+        before = self.rays
+
+        def told(progress):
+            self.rays, self._done = before + progress.rays, progress.fraction * self._total
+            self.tick(0)
+
+        return Clock(told)
+
     def stop(self) -> None:
         """End the stage."""
         if self._stage:
-            self.seconds[self._stage] = round(time.perf_counter() - self._stage_began, 4)
+            self.seconds[self._stage] = round(now() - self._stage_began, 4)
+            self.traced[self._stage] = self.rays - self._rays_before
             self._stage = ""
 
     def tick(self, steps: int, rays: int | None = None) -> None:
@@ -79,6 +104,9 @@ class Clock:
         low = self.STAGES[names[at - 1]] if at else 0.0
         part = min(self._done / self._total, 1.0)
         fraction = low + (self.STAGES[self._stage] - low) * part
+        # what was kept goes by in no time, and its seconds are those of the earlier bakes
+        self.reached = max(self.reached, fraction)
         # the first stages are too short to tell
-        left = self.spent * (1 - fraction) / fraction if fraction > self.STAGES["Surfaces"] else None
+        known = self.reached > self.STAGES["Surfaces"]
+        left = (self.earlier + self.spent) * (1 - self.reached) / self.reached if known else None
         self.progress(Progress(self._stage, fraction, self.rays, self.error, left))

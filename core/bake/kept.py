@@ -21,14 +21,14 @@ class Cancelled(Exception):
 
 
 class Kept:
-    """Finished parts of one bake, by name: in memory, and after a cancel in `cache` too, where there is one."""
+    """Finished parts of one bake, by name: in memory, and after a cancel in `cache` too, where there is one.
+
+    seconds: that the cancelled bakes took, all together; reached: how far they came, a fraction of the whole.
+    """
 
     def __init__(self, cache: Cache | None = None):
-        self.key = b""
-        self.parts: dict[str, object] = {}
         self.cache = cache
-        # what the memory needs no more and a file would
-        self._dropped: dict[str, object] = {}
+        self._forget()
 
     def open(self, scene: Scene, settings: Settings) -> None:
         """Forget everything that belongs to another scene or to other settings."""
@@ -45,7 +45,10 @@ class Kept:
 
     def _forget(self) -> None:
         self.key = b""
-        self.parts, self._dropped = {}, {}
+        self.parts: dict[str, object] = {}
+        # what the memory needs no more and a file would
+        self._dropped: dict[str, object] = {}
+        self.seconds = self.reached = 0.0
 
     def drop(self, *names: str) -> None:
         """Forget parts that another one holds by now."""

@@ -28,20 +28,24 @@ def bake(
     settings: Settings | None = None,
     progress: Callable[[Progress], None] | None = None,
     kept: Kept | None = None,
+    spent: float = 0.0,
 ) -> Bake:
     """Bake how `scene` passes light around.
 
     progress is called every few thousand rays; an exception that it raises cancels the bake. kept: takes what is
     finished when that is a `Cancelled`; given to the next bake of the same scene with the same settings, the bake goes
-    on from there. Same scene and settings, same bake, on any number of threads and in any number of goes (a time budget
-    excepted, under which nothing is kept). Raises SceneError for scenes that cannot be baked.
+    on from there. spent: s of the time budget that reading the scene, say, has taken already. Same scene and settings,
+    same bake, on any number of threads and in any number of goes (a time budget excepted, under which nothing is kept).
+    Raises SceneError for scenes that cannot be baked.
     """
     settings = settings or Settings()
     kept = Kept() if kept is None or settings.time_budget else kept
     kept.open(scene, settings)
+    clock = Clock(progress, kept.seconds, kept.reached, spent)
     try:
-        result = _bake(scene, settings, Clock(progress), kept)
+        result = _bake(scene, settings, clock, kept)
     except Cancelled:
+        kept.seconds, kept.reached = clock.earlier + clock.spent, clock.reached
         kept.save()
         raise
     except BaseException:
@@ -82,12 +86,14 @@ def _bake(scene, settings, clock, kept):
     else:
         parts["points"] = interpolation_error(made, stored, seed)
     clock.stop()
+    warnings = made.warnings + _late(made, settings, clock)
     report = {
         "error": float(np.sqrt(sum(part**2 for part in parts.values()))),
         "error_parts": parts,
         "skipped": {} if made.test_direct is not None else {"panes": "no lamp is live"},
         "error_target": settings.error_target,
         "seconds": round(clock.spent, 3),
+        "earlier_seconds": round(clock.earlier, 3),
         "stages": clock.seconds,
         "rays": clock.rays,
         "exits": "points" if at_points else "texels" if stored is None else "atlas",
@@ -98,7 +104,7 @@ def _bake(scene, settings, clock, kept):
         "regions": made.modes.regions,
         "panes_per_texel": made.modes.panes,
         "budget": asdict(made.budget),
-        "warnings": made.warnings,
+        "warnings": warnings,
     }
     points = None
     if stored is not None:
@@ -112,6 +118,14 @@ def _bake(scene, settings, clock, kept):
     if clock.progress is not None:
         clock.progress(Progress("Done", 1.0, clock.rays))
     return result
+
+
+def _late(made: Prepared, settings: Settings, clock: Clock) -> list[str]:
+    """A warning where the time budget was less than the least that the scene takes."""
+    asked, took = settings.time_budget, clock.ahead + clock.spent
+    if not asked or took <= max(1.1 * asked, asked + 1):
+        return []
+    return [f"The time budget of {asked:.3g} s is too short: at the least quality the bake took {took:.3g} s."]
 
 
 def _at_texels(made: Prepared, settings: Settings, clock: Clock) -> tuple[Panes, np.ndarray | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from ..panes.modes import Modes, learn_modes, training_fields
 from ..panes.regions import features, make_regions, nearest, rooms, signature, split_regions, starts_of
 from ..panes.training import illuminate, training_lamps
 from ..panes.weights import PaneWeights, make_weights
-from ..planner import Budget, Settings, limit_rays, needs_panes, plan, uses_points
+from ..planner import Budget, Settings, Took, fit, limit_rays, needs_panes, part_of, plan, uses_points
 from ..rays import Bvh, Tracer
 from ..scene import Scene
 from ..surface import Patches, SurfaceSamples, Texels, Vertices, make_patches, make_texels, make_vertices
@@ -24,6 +24,9 @@ from .steady import piece_excess, sky_bins, static_light, steady_light
 
 PILOTS = 32_768
 """Texels, about, whose rays find the entries where points are the exits."""
+
+KEPT_BACK = 0.85
+"""Part of the time left that is planned for: the check comes last, and machines have other things to do."""
 
 GUIDES = 16
 """Training lamps that steer the points' density."""
@@ -77,22 +80,66 @@ class Prepared:
         return self.tables.shape[2] > self.modes.panes + 3
 
 
+@dataclass(frozen=True)
+class Surfaces:
+    """What a bake starts from, whatever its budget. at_points: whether exits are points."""
+
+    scene: Scene
+    texels: Texels
+    vertices: Vertices
+    tracer: Tracer
+    at_points: bool
+
+
 def prepare(scene: Scene, settings: Settings, clock: Clock | None = None, kept: Kept | None = None) -> Prepared:
     """Run all stages up to the exits' gather, but for parts that are `kept`. Raises SceneError for scenes that cannot
-    be baked."""
-    clock, kept = clock or Clock(), kept or Kept()
-    seed = settings.seed
-    budget = plan(scene, settings)
+    be baked.
 
+    Under a time budget they run with the least budget first, which tells what fits into the time that is left.
+    """
+    clock, kept = clock or Clock(), kept or Kept()
+    budget = plan(scene, settings)
     clock.start("Surfaces")
-    warnings = list(scene.warnings)
     texels, vertices = make_texels(scene, settings.resolution), make_vertices(scene)
     at_points = uses_points(settings, budget, len(texels), len(vertices))
+    surfaces = Surfaces(scene, texels, vertices, Tracer(scene), at_points)
+    if not settings.time_budget:
+        return _prepare(surfaces, settings, budget, clock, kept)
+    least = part_of(budget, settings, 0.0)
+    clock.start("Pilot")
+    pilot = clock.pilot()
+    made = _prepare(surfaces, settings, least, pilot, Kept())
+    pilot.stop()
+    # the hurried bake may be the whole one
+    clock.seconds |= pilot.seconds
+    clock.traced |= pilot.traced
+    took = Took(
+        replace(least, entries=len(made.entries)),
+        *(pilot.seconds.get(stage, 0.0) for stage in ("Entries", "Transport", "Lamps", "Panes")),
+        pilot.traced["Transport"],
+    )
+    better = fit(budget, settings, took, 0 if at_points else len(texels), KEPT_BACK * time_left(settings, clock))
+    clock.stop()
+    if better is not None:
+        made = _prepare(surfaces, settings, better, clock, kept)
+    # how many there is time for is known once their turn comes
+    made.budget = replace(made.budget, exit_rays=budget.exit_rays, point_rays=budget.point_rays)
+    return made
+
+
+def time_left(settings: Settings, clock: Clock) -> float:
+    """s of the time budget."""
+    return settings.time_budget - clock.ahead - clock.spent
+
+
+def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Clock, kept: Kept) -> Prepared:
+    """The stages after the surfaces', with a budget."""
+    scene, seed, at_points = surfaces.scene, settings.seed, surfaces.at_points
+    texels, vertices, tracer = surfaces.texels, surfaces.vertices, surfaces.tracer
+    warnings = list(scene.warnings)
+    clock.start("Entries")
     patches = make_patches(scene, budget.entries, seed)
     bvh = Bvh(patches.corners)
-    tracer = Tracer(scene)
-
-    clock.start("Entries")
     # points need not ask of each texel: those that a point serves are not buried
     step = max(-(-len(texels) // PILOTS), 1) if at_points else 1
     pilot = texels.samples.take(slice(None, None, step)).join(vertices.samples)
@@ -170,9 +217,8 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None, kept: 
 def in_time(made: Prepared, settings: Settings, clock: Clock, rays: str, places: int) -> None:
     """Cut the budget's `rays` (a field of Budget) from so many places to what a time budget leaves for them."""
     if settings.time_budget:
-        traced = len(made.entries) * made.budget.entry_rays
-        rate = traced / max(clock.seconds["Transport"], 1e-3)
-        made.budget = limit_rays(made.budget, rays, places, rate, 0.9 * (settings.time_budget - clock.spent))
+        rate = clock.traced["Transport"] / max(clock.seconds["Transport"], 1e-3)
+        made.budget = limit_rays(made.budget, rays, places, rate, KEPT_BACK * time_left(settings, clock))
 
 
 def _nothing(samples: SurfaceSamples) -> np.ndarray:

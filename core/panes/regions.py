@@ -20,6 +20,9 @@ SIGNS = 16
 ROOMS = 64
 """Rooms told apart, at most."""
 
+SHORT, SMALL = 200, 500
+"""Rows of matrices whose eigenvalues take a while and for which numpy, thinking them small, holds the GIL; not for two."""
+
 
 def features(position: np.ndarray, normal: np.ndarray, extent: float) -> np.ndarray:
     """(n, 6) float32 coordinates in which near means similarly lit."""
@@ -97,7 +100,10 @@ def split_regions(
         if len(rows) <= panes:
             return 0.0
         block = root[rows] * field[rows]
-        return float(np.linalg.eigvalsh(block @ block.T)[:-panes].sum())
+        gram = block @ block.T
+        if SHORT < len(rows) <= SMALL:
+            gram = np.stack([gram, gram])
+        return float(np.atleast_2d(np.linalg.eigvalsh(gram))[0, :-panes].sum())
 
     groups = [np.flatnonzero(region == r) for r in range(int(region.max()) + 1)]
     losses = [lost(rows) for rows in groups]

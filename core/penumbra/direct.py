@@ -10,7 +10,6 @@ from ..lights import irradiance
 from ..rays import Tracer
 from ..scene import Light
 from .cast import cast
-from .casting import cast_rays
 from .glass import part_through
 from .lamp import sample_lamp
 from .occluders import Occluders
@@ -72,10 +71,7 @@ class DirectLight:
         sets = 1 if receivers.group is None else int(receivers.group.max(initial=0)) + 1
         extent = float(np.ptp(receivers.position, axis=0).max()) if len(receivers) else 0.0
         lamp = sample_lamp(light, self.samples, sets, self.seed, extent)
-        if len(self.tracer.solid_corners):
-            masks = cast(receivers, lamp, self.occluders, self.threads)
-        else:
-            masks = cast_rays(receivers, lamp, self.tracer.blocked, self.threads)
+        masks = cast(receivers, lamp, self.occluders, self.threads)
         result = shade(light, lamp, receivers, masks)
         if self.tracer.has_glass:
             if self._glass is None:

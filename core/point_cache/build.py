@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..rays import Bvh
-from ..scene import Scene
+from ..scene import Scene, used_rows
 from ..surface import Patches, SurfaceSamples, unit
 from ..surface.patches import bisect
 from ..transfer import Gatherer
@@ -83,7 +83,7 @@ def survey(
     in place of the flood's. count: of the coarse set, about, held within COARSE.
     """
     size = float(np.sqrt(PACKING * patches.area.sum() / np.clip(count, *COARSE)))
-    triangles = np.unique(patches.parent)
+    triangles = used_rows(patches.parent, len(scene.triangles))
     corners, parent, weights = bisect(scene.positions[scene.triangles[triangles]], 3 * size)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = 0.5 * np.linalg.norm(cross.astype(np.float64), axis=1)

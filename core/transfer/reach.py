@@ -13,7 +13,7 @@ import numpy as np
 
 from ..rays import Bvh, Hits, Transmission, chunks, in_threads
 from ..sampling import concentric_disk, cosine_hemisphere, frame, hash_uniform, spiral
-from ..scene import Scene
+from ..scene import Scene, used_rows
 from ..surface import Patches
 
 PARTICLES = 32_768
@@ -100,7 +100,7 @@ def _sources(scene, patches, offset, seed, places=None):
         tangent, bitangent = frame(inward)
         index = np.arange(PARTICLES)
         disk = concentric_disk(np.stack([hash_uniform(index, k, seed + 62) for k in (0, 1)], 1))
-        used = scene.positions[np.unique(scene.triangles)]
+        used = scene.positions[used_rows(scene.triangles, len(scene.positions))]
         middle, radius = 0.5 * (used.min(axis=0) + used.max(axis=0)), np.float32(0.5 * scene.extent)
         across = radius * (disk[:, :1] * tangent + disk[:, 1:] * bitangent)
         parts.append((middle + across - 2 * radius * inward, inward))

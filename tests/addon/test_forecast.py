@@ -5,6 +5,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from lightpanes.addon import forecast, preflight, store  # noqa: E402
+from lightpanes.core.planner import Budget  # noqa: E402
 
 from .mending import bakes  # noqa: E402
 
@@ -36,6 +37,25 @@ def test_the_forecast_learns_from_the_last_bake(room, quick):
     report.pop("budget")
     store.write_meta(room, meta)
     assert preflight.examine(bpy.context).forecast.seconds > 0
+
+
+def test_a_second_go_at_a_bake_says_nothing_without_the_first(room, quick):
+    assert bakes()
+    meta = store.read_meta(room)
+    report = meta["report"]
+
+    def said():
+        store.write_meta(room, meta)
+        preflight.forget()
+        return preflight.examine(bpy.context).forecast.seconds
+
+    budget, places = Budget(**report["budget"]), report["texels"]
+    report["total_seconds"], _ = forecast.model(budget, report["triangles"], places, False, True)
+    once = said()
+    report["earlier_seconds"] = report["total_seconds"]
+    assert said() == pytest.approx(2 * once)
+    meta["report"] = {}
+    assert said() == pytest.approx(once)
 
 
 def test_subdivision_counts(room):

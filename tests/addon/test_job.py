@@ -78,6 +78,48 @@ def test_cancelled_at_any_stage_it_leaves_what_was_there(room, monkeypatch, at):
     assert everything() == names
 
 
+@pytest.mark.parametrize("part", [0.972, 0.976, 0.98])
+def test_cancelled_while_it_stores_it_leaves_what_was_there(room, monkeypatch, part):
+    monkeypatch.setattr(job, "SLICE", 0.0)
+    baking.bake_scene(bpy.context)
+    state, names = bake_state(room), everything()
+    room.lightpanes.seed = 7
+    counts = [len(bpy.data.images)]
+
+    def until(progress):
+        counts.append(len(bpy.data.images))
+        return progress.stage == "Storing" and progress.fraction >= part
+
+    running = drive(until)
+    assert counts[-1] > counts[0] and max(np.diff(counts)) == 1
+    running.cancel()
+    assert running.advance() and running.report is None and not running.error
+    assert bake_state(room) == state
+    assert everything() == names
+
+
+@pytest.mark.parametrize("part", [0.985, 0.99, 0.995])
+def test_cancelled_once_the_new_bake_is_there_it_is_finished(room, monkeypatch, part):
+    monkeypatch.setattr(job, "SLICE", 0.0)
+    running = drive(lambda progress: progress.stage == "Storing" and progress.fraction >= part)
+    bpy.data.objects["Block"].location.x += 0.3
+    bpy.context.view_layer.update()
+    running.cancel()
+    assert running.ended and running.report["error"] < 0.5 and not running.error
+    # what moved after the bake had noted where things are is found by looking again
+    moved = ("'Block' was moved or edited since the bake; bake again.",)
+    assert relight.check_stale(bpy.context) == moved
+    assert not store.find_image(room, store.IRRADIANCE).is_dirty
+
+
+def test_cancelled_at_its_very_end_it_is_finished(room, monkeypatch):
+    monkeypatch.setattr(job, "SLICE", 0.0)
+    running = drive(lambda progress: progress.stage == "Done" and progress.fraction == 1)
+    assert not running.ended
+    running.cancel()
+    assert running.ended and running.report["error"] < 0.5 and not running.error
+
+
 def test_a_second_press_goes_on_from_there(room):
     whole = baking.bake_scene(bpy.context)
     images = {name: image.tobytes() for name, image in store.load_bake(room).images.items()}

@@ -10,7 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
+import lightpanes
 import numpy as np
+from lightpanes.addon import baking
 from lightpanes.addon.atlas import make_atlas
 from lightpanes.addon.extract import extract
 from lightpanes.core.bake import Settings, bake
@@ -25,12 +27,29 @@ from . import harness, scenes
 PAPER_SECONDS, PAPER_BYTES = 8.5, 128 * 2**20
 RUNS = 3
 RAYS = 64
+BUDGETS = (2, 5, 10)  # s
 
 
 def rows() -> Iterator[dict]:
     yield from paper_rows()
     for name in ("pillars", "cornell"):
         yield gather_row(name)
+    yield from budget_rows()
+
+
+def budget_rows() -> Iterator[dict]:
+    """What bakes with a time budget take; the first one's budget may be less than the least that can be baked."""
+    lightpanes.register()
+    for asked in BUDGETS:
+        bpy.ops.wm.open_mainfile(filepath=str(scenes.FOLDER / "cornell.blend"))
+        bpy.context.scene.lightpanes.resolution = 256
+        bpy.context.scene.lightpanes.time_budget = asked
+        report = baking.bake_scene(bpy.context)
+        took, least = report["total_seconds"], any("time budget" in line for line in report["warnings"])
+        detail = f"error {report['error']:.3f}, {report['entries']} entries"
+        detail += ", the least that can be baked" if least else ""
+        most = max(1.1 * asked, asked + 1)
+        yield harness.row(f"cornell at 256² in {asked} s", took, most, "s", ok=least or took <= most, detail=detail)
 
 
 def paper_rows() -> Iterator[dict]:

@@ -1,8 +1,10 @@
 """A cancelled bake goes on where it ended, and ends the same."""
 
+from itertools import count
+
 import numpy as np
 import pytest
-from lightpanes.core.bake import Cancelled, Kept, bake
+from lightpanes.core.bake import Cancelled, Kept, bake, clock
 from lightpanes.core.bake.kept import digest
 
 from .shapes import lamp, quick, room
@@ -85,3 +87,25 @@ def test_a_digest_sees_each_number():
     moved = made()
     moved.positions[3, 1] += 1e-4
     assert digest(moved, quick()) != first
+
+
+def test_time_left_counts_what_cancelled_goes_took(monkeypatch):
+    ticks = count()
+    # every look at the clock is a second later
+    monkeypatch.setattr(clock, "now", lambda: float(next(ticks)))
+    whole, kept = [], Kept()
+    bake(made(), quick(), whole.append)
+    goes = []
+    for stage in ("Lamps", "Exits"):
+        with pytest.raises(Cancelled):
+            bake(made(), quick(), cancel_at(stage, 0.0, []), kept)
+        goes.append(kept.seconds)
+    assert 0 < goes[0] < goes[1] and kept.reached >= clock.Clock.STAGES["Points"]
+    left = []
+    report = bake(made(), quick(), left.append, kept).report
+    assert report["earlier_seconds"] == goes[1]
+    assert kept.seconds == kept.reached == 0
+    # as far along, about as much is left as in one go, and more, since some was done twice
+    for told in left[:-1]:
+        then = next(one for one in whole if one.fraction >= max(told.fraction, clock.Clock.STAGES["Points"]))
+        assert told.seconds_left >= 0.9 * then.seconds_left

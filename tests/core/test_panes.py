@@ -13,6 +13,7 @@ from lightpanes.core.panes.entry_light import EntryLight
 from lightpanes.core.panes.exits import STEPS, gather_panes
 from lightpanes.core.panes.regions import features, make_regions, nearest, split_regions
 from lightpanes.core.panes.training import free_air, room_around, training_lamps
+from lightpanes.core.panes.weights import _leading as leading
 from lightpanes.core.rays import Tracer
 from lightpanes.core.scene import Material
 from lightpanes.core.surface import make_patches
@@ -252,6 +253,19 @@ def test_modes_are_orthonormal_in_each_region():
         assert np.allclose(gram[np.ix_(used, used)], np.eye(used.sum()), atol=1e-4)
         assert not gram[~used].any()
         assert used.any()
+
+
+@pytest.mark.parametrize("rank", [0, 5, 40])
+def test_leading_fields_are_orthonormal_whatever_their_rank(rank):
+    random = np.random.default_rng(rank)
+    # the strongest is a million times as bright as the weakest
+    bright = np.logspace(0, -6, rank)[:, None]
+    fields = (random.normal(size=(300, rank)) @ (bright * random.normal(size=(rank, 60)))).astype(np.float32)
+    found = leading(fields, 24)
+    assert found.dtype == np.float32 and found.shape[1] <= min(24, max(rank, 1))
+    assert np.allclose(found.T @ found, np.eye(found.shape[1]), atol=1e-5)
+    lost = fields - found @ (found.T @ fields)
+    assert np.linalg.norm(lost) <= (1e-5 if rank < 24 else 1e-3) * np.linalg.norm(fields)
 
 
 def test_gathered_modes_are_means_over_ids():

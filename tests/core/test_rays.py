@@ -1,5 +1,8 @@
 """Rays against a brute-force intersector in double precision."""
 
+import sys
+from threading import Event, Thread
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -73,6 +76,45 @@ def test_the_surface_on_which_a_segment_ends_does_not_block_it():
     ends = np.c_[random.uniform(-0.9, 0.9, (500, 2)), np.zeros(500)]
     assert tracer.visibility(origins, ends - origins).all()
     assert not tracer.visibility(origins, (ends - origins) * 1.01).any()
+
+
+def test_a_mesh_of_shared_vertices_is_hit_like_its_corners():
+    corners = soup()
+    origins, directions = rays_around(2000)
+    expected = Bvh(corners).hits(origins, directions)
+    # the same vertices among others, in another order
+    random = np.random.default_rng(4)
+    place = random.permutation(400)[:180]
+    positions = random.normal(size=(400, 3)).astype(np.float32)
+    positions[place] = corners.reshape(-1, 3)
+    found = Bvh(positions, place.reshape(-1, 3)).hits(origins, directions)
+    for one, other in zip(found, expected, strict=True):
+        assert np.array_equal(one, other)
+    assert Bvh(positions, place.reshape(-1, 3)[:0]).closest(origins, directions).max() == -1
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_other_threads_get_their_turn_while_embree_reads_a_mesh(shared):
+    corners = soup(20_000)
+    mesh = (corners.reshape(-1, 3), np.arange(60_000).reshape(-1, 3)) if shared else (corners,)
+    turns, ended = [0], Event()
+
+    def count():
+        while not ended.is_set():
+            turns[0] += 1
+            ended.wait(1e-5)
+
+    other, often = Thread(target=count), sys.getswitchinterval()
+    other.start()
+    try:
+        sys.setswitchinterval(1e-5)
+        before = turns[0]
+        Bvh(*mesh)
+        assert turns[0] > before + 100
+    finally:
+        sys.setswitchinterval(often)
+        ended.set()
+        other.join()
 
 
 def test_nothing_to_hit():

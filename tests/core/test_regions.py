@@ -1,6 +1,7 @@
 """Regions end where light does, and none is large; the suns that teach a scene are those that reach in."""
 
 import numpy as np
+import pytest
 from lightpanes.core.bake.steps import prepare
 from lightpanes.core.panes.regions import LARGEST, make_regions, rooms, signature, split_regions
 from lightpanes.core.panes.training import sun_lamps
@@ -107,3 +108,15 @@ def test_training_suns_reach_in():
         facing = np.einsum("nd,nd->n", places.normal, toward) > 0
         assert (ready.tracer.visibility(origin[facing], toward[facing]) > 0).any()
     assert sun_lamps(two_rooms(False), ready.places, ready.bvh, 40, 3) == []
+
+
+@pytest.mark.parametrize("rows", [100, 300, 600])
+@pytest.mark.parametrize("bright", [0, 1])
+def test_the_region_that_loses_most_is_split_whatever_its_size(rows, bright):
+    random = np.random.default_rng(0)
+    half = np.repeat(np.arange(2, dtype=np.int32), rows)
+    points, field = random.normal(size=(2 * rows, 3)), random.normal(size=(2 * rows, 20)).astype(np.float32)
+    field[half == bright] *= 1.5
+    found = split_regions(half, points, np.ones(2 * rows), field, 3, 4)
+    assert (found[half != bright] == 1 - bright).all()
+    assert sorted(np.bincount(found)) == [rows // 2, rows // 2, rows]

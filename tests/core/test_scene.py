@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from lightpanes.core.planner import Settings, plan
-from lightpanes.core.scene import Light, Material, Scene, SceneError, SceneObject, Sky
+from lightpanes.core.scene import Light, Material, Scene, SceneError, SceneObject, Sky, used_rows
 
 from .shapes import box, lamp, quad, room, scene
 
@@ -117,3 +117,9 @@ def test_a_smaller_error_gets_more_of_everything():
     for name in ("entries", "entry_rays", "exit_rays", "regions", "panes", "lamps"):
         assert getattr(coarse, name) <= getattr(usual, name) <= getattr(fine, name)
     assert plan(made, Settings(entries=123)).entries == 123
+
+
+def test_used_rows_are_what_unique_gives():
+    names = np.random.default_rng(0).integers(0, 90, (40, 3))
+    assert np.array_equal(used_rows(names, 100), np.unique(names))
+    assert not len(used_rows(names[:0], 100))
