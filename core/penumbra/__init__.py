@@ -1,9 +1,11 @@
 """Which samples of an area lamp each receiver sees, exactly as shadow rays would say, at a cost below theirs."""
 
+from .adaptive import cast_adaptively
 from .cast import cast
 from .casting import cast_rays
 from .cost import Cost
 from .direct import DirectLight, is_soft, samples_for
+from .hierarchy import cast_hierarchically
 from .lamp import LampSamples, sample_ball, sample_lamp, sample_quad
 from .masks import AWAY, LIT, UMBRA, Masks, Statistics
 from .occluders import Occluders
@@ -22,6 +24,8 @@ __all__ = [
     "Receivers",
     "Statistics",
     "cast",
+    "cast_adaptively",
+    "cast_hierarchically",
     "cast_rays",
     "is_soft",
     "sample_ball",
