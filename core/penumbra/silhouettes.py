@@ -81,7 +81,8 @@ class Items:
         outside = edge < 0
         crossing, need, dark = _undecided(inside, outside, pairs, lines - lines[0], count)
         place_of = np.flatnonzero(crossing)
-        index = table.index(ga[place_of], gb[place_of], g0[place_of])
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            index = table.index(ga[place_of], gb[place_of], g0[place_of])
         # too close to a receiver for float32; planes through the cluster are made so that they end here too
         index[size[place_of] < np.float32(2 * ROUNDING / table.guard)] = table.unknown
         if table.sets > 1:

@@ -1,5 +1,7 @@
 """Penumbra casting against the rays that it stands for: not one relation may differ."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from lightpanes.core.penumbra import (
@@ -258,6 +260,29 @@ def test_inverted_and_nested_and_open_solids():
     # the lamp inside of a closed solid
     inside = sample_lamp(lamp_of("AREA", (1.5, 0, 1.3), size=(0.3, 0.3)), 64)
     compare(scene, scattered(scene, 5000), inside)
+
+
+def test_coincidences():
+    """Triangles, receivers and lamps on one lattice: edges through receivers and samples, planes through everything."""
+    for seed in range(80):
+        random = np.random.default_rng(seed)
+        corners = random.integers(-4, 5, (int(random.integers(1, 50)), 3, 3)) * 10.0 ** random.integers(-2, 3)
+        scale = np.abs(corners).max() / 4
+        if random.random() < 0.3:
+            corners = corners @ np.linalg.qr(random.normal(size=(3, 3)))[0]
+        corners = corners.astype(np.float32)
+        matrix = np.eye(4)
+        matrix[:3, 3] = random.integers(-8, 9, 3) / 2 * scale
+        size = float(random.choice([0.01, 1, 4])) * scale
+        light = (
+            Light("Lamp", "SUN", matrix, 1.0, angle=0.3)
+            if seed % 4 == 0
+            else replace(LAMPS["disk" if seed % 2 else "square"], matrix=matrix, size=(size, size))
+        )
+        receivers = Receivers((random.integers(-8, 9, (300, 3)) / 2 * scale).astype(np.float32))
+        lamp, bvh = sample_lamp(light, 32), Bvh(corners)
+        masks = cast(receivers, lamp, Occluders(corners, bvh.occluded, bool(seed % 3)), cost=Cost(32, "lines"))
+        assert differing(masks, cast_rays(receivers, lamp, bvh.occluded)) == 0, seed
 
 
 def test_nothing_there():
