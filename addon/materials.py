@@ -18,6 +18,7 @@ import bpy
 import numpy as np
 
 from ..core.scene import Material, Scene
+from .unfolded import Unfolded
 
 PLACEHOLDER = Material("Unread")
 EMPTY_SLOT = Material("No material", albedo=(0.8, 0.8, 0.8))
@@ -40,11 +41,21 @@ class Look:
         return self.albedo is None or self.emission is None or self.transmission is None
 
 
-def read_materials(context, scene: Scene, used: list, sources: list, resolution: int, *, bake: bool = True) -> None:
+def read_materials(
+    context,
+    scene: Scene,
+    used: list,
+    sources: list,
+    resolution: int,
+    *,
+    bake: bool = True,
+    atlas: Unfolded | None = None,
+) -> None:
     """Fill `scene.materials` and its maps in place.
 
     used: Blender's material (or None for an empty slot) for each of scene.materials. sources: Blender's
     object for each of scene.objects. bake=False bakes nothing but the transmission that shadow rays need.
+    atlas: as for `extract.extract`.
     """
     from . import maps
 
@@ -55,7 +66,7 @@ def read_materials(context, scene: Scene, used: list, sources: list, resolution:
     materials = [_material(material, each) for material, each in zip(used, looks, strict=True)]
     scene.materials = tuple(materials)
     if wanted:
-        maps.bake_maps(context, scene, used, sources, looks, wanted, resolution)
+        maps.bake_maps(context, scene, used, sources, looks, wanted, resolution, atlas)
     for material in scene.materials:
         if max(material.albedo) >= 0.99:
             scene.warnings.append(

@@ -18,7 +18,8 @@ class Faces:
     """The triangles of one evaluated mesh in its own space; shared by all its instances.
 
     positions (V, 3) float32; triangles (T, 3) int32; normals (T, 3, 3) float32; flat (T,) bool;
-    loops (T, 3) int32 of the mesh; slots (T,) int32 material slot; uv (T, 3, 2) float32 or None where the layer is missing.
+    loops (T, 3) int32 of the mesh, which has so many corners; slots (T,) int32 material slot; uv (T, 3, 2) float32 or
+    None where the layer is missing.
     """
 
     positions: np.ndarray
@@ -28,6 +29,7 @@ class Faces:
     loops: np.ndarray
     slots: np.ndarray
     uv: np.ndarray | None
+    corners: int
 
 
 def weight_of(obj: bpy.types.Object) -> float:
@@ -69,6 +71,7 @@ def read_faces(mesh) -> Faces | None:
         corners.reshape(-1, 3),
         slots[polygons],
         uv,
+        len(mesh.loops),
     )
 
 

@@ -148,7 +148,7 @@ def _nothing(facts) -> Iterator[Obstacle]:
 
 
 def _mode(facts) -> Iterator[Obstacle]:
-    editing = [item for item in facts.receivers if item.mode == "EDIT"]
+    editing = [item for item in facts.surfaces if item.type == "MESH" and item.data.is_editmode]
     if editing:
         sentence = f"'{editing[0].name}' is in Edit Mode: leave it (Tab) and bake again."
         yield Obstacle("EDIT_MODE", ERROR, sentence, names_of(editing), "Leave Edit Mode")

@@ -20,7 +20,7 @@ from ..core.bake import BakeError
 from ..core.panes import Relighter
 from ..core.rays import Tracer
 from ..core.scene import Light, SceneError
-from . import engine, extract, handlers, lamps, meshes, overlay, points, store, vertices, visibility
+from . import engine, extract, handlers, lamps, meshes, overlay, points, store, vertices, visibility, waiting
 
 
 @dataclass
@@ -302,7 +302,7 @@ def _may_stale(current: Session, change) -> bool:
 
 
 def _update_later():
-    if bpy.app.is_job_running("RENDER"):
+    if waiting.renders():
         return  # the render's own frame changes relight
     depsgraph = bpy.context.evaluated_depsgraph_get()
     update(depsgraph.scene.original, depsgraph)
@@ -311,7 +311,7 @@ def _update_later():
 
 
 def _stale_later():
-    if not bpy.app.is_job_running("RENDER"):
+    if not waiting.renders():
         check_stale(bpy.context)
         redraw_panel()
         overlay.redraw()

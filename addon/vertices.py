@@ -15,6 +15,7 @@ from ..core.scene import Scene
 from ..core.surface import make_vertices
 from . import atlas, visibility
 from .meshes import AT_VERTICES, read_attribute
+from .snapshot import remove_layer
 
 LIGHT = "lightpanes_irradiance"
 # Number of the place plus one, 0 for none. Blender's interface does not list names that begin with a dot.
@@ -81,7 +82,7 @@ def keep(context: bpy.types.Context, surfaces: Scene, loops: dict[str, np.ndarra
             _make_attributes(mesh, loops[part.name], found.corner[owner == index])
             # from a bake that gave it a place in the atlas
             if not any(item.data == mesh and "lightpanes_scale" in item for item in bpy.data.objects):
-                atlas.remove_layer(mesh)
+                remove_layer(mesh)
 
 
 def _make_attributes(mesh, loops, place) -> None:

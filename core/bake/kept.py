@@ -42,6 +42,10 @@ class Kept:
         for name in names:
             self.parts.pop(name, None)
 
+    def only(self, name: str) -> None:
+        """Forget all other parts."""
+        self.parts = {name: self.parts[name]}
+
     def part(self, name: str, make: Callable[[], T]) -> T:
         """What `make` returned when it first finished."""
         if name not in self.parts:

@@ -33,21 +33,21 @@ def bake(
 
     progress is called every few thousand rays; an exception that it raises cancels the bake. kept: takes what is
     finished when that is a `Cancelled`; given to the next bake of the same scene with the same settings, the bake goes
-    on from there. Same scene and settings, same bake, on any number of threads and in any number of goes (a time budget
+    on from there. A bake that is done is kept, too, until `kept` is cleared. Same scene and settings, same bake, on any number of threads and in any number of goes (a time budget
     excepted, under which nothing is kept). Raises SceneError for scenes that cannot be baked.
     """
     settings = settings or Settings()
     kept = Kept() if kept is None or settings.time_budget else kept
     kept.open(scene, settings)
     try:
-        result = _bake(scene, settings, Clock(progress), kept)
+        result = kept.part("bake", lambda: _bake(scene, settings, Clock(progress), kept))
     except Cancelled:
         raise
     except BaseException:
         # it may have ended in the middle of a chunk
         kept.clear()
         raise
-    kept.clear()
+    kept.only("bake")
     return result
 
 

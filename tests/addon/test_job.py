@@ -125,6 +125,15 @@ def test_an_object_moved_meanwhile_is_stale(room):
     assert relight.check_stale(bpy.context) == ("'Block' was moved or edited since the bake; bake again.",)
 
 
+def test_an_object_added_meanwhile_is_stale(room):
+    running = drive(stage("Transport"))
+    bpy.ops.mesh.primitive_cube_add(size=0.2, location=(-0.5, 0.5, 0.5))
+    bpy.context.object.name = "Late"
+    drive(running=running)
+    assert running.report is not None
+    assert relight.check_stale(bpy.context) == ("'Late' was added since the bake; bake again.",)
+
+
 def test_a_mesh_edited_meanwhile(room):
     running = drive(stage("Transport"))
     mesh = bpy.data.objects["Block"].data
