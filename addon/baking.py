@@ -18,7 +18,7 @@ from ..core.bake import Cancelled, Kept, Progress, Settings, bake
 from ..core.panes import Relighter
 from ..core.rays import Tracer
 from ..core.scene import SceneError
-from . import atlas, extract, nodes, points, relight, store, twice, vertices, waiting
+from . import atlas, environment, extract, nodes, points, relight, store, twice, vertices, waiting
 from .preflight import check as preflight
 from .snapshot import PLACE, Snapshot, remove_layer
 from .unfolded import Unfolded
@@ -78,7 +78,7 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
     loops: dict = {}
     with relight.paused(), unfolded.laid(objects):
         surfaces = extract.extract(context, resolution=settings.resolution, loops=loops, atlas=unfolded)
-    found = extract.fingerprint(context)
+    found, world = extract.fingerprint(context), environment.digest(scene.world)
 
     def work(progress):
         def told(now):
@@ -102,6 +102,7 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
     report = result.meta["report"]
     report["warnings"] = warnings + [w for w in report.get("warnings", []) if w not in warnings]
     result.meta["static"] = {lamp.name: relight.lamp_key([lamp]) for lamp in surfaces.lights if not lamp.live}
+    result.meta["world"] = world
     points.remember(result, surfaces)
     yield Progress("Storing", 0.98, report["rays"])
     if reason := planned.edited():

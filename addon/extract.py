@@ -221,7 +221,7 @@ def _faces(obj, cache, original, warnings) -> Faces | None:
     key = obj.data.as_pointer()
     if key not in cache:
         # in Edit Mode the evaluated mesh is a wrapper without arrays; to_mesh fills them
-        editing = original.mode == "EDIT"
+        editing = original.data.is_editmode
         mesh = obj.to_mesh() if editing else obj.data
         cache[key] = read_faces(mesh) if mesh is not None else None
         if editing:
@@ -297,16 +297,21 @@ def _place(faces: Faces, matrix, uv, lookup, at_vertices) -> _Part:
 def fingerprint(context: bpy.types.Context) -> dict[str, str]:
     """Object name → short hash of its geometry, transform and materials, instances it makes included.
 
-    Of all that renders. An object that the viewport hides cannot be read cheaply: its value is "".
+    Of all that renders. An object that the viewport hides cannot be read cheaply, and one in Edit Mode not before it
+    leaves that: its value is "".
     """
     rendered = visibility.rendered_objects(context.view_layer)
     hashes = {obj.name: None for obj in rendered if obj.type in GEOMETRY}
+    edited: set[str] = set()
     meshes: dict[int, bytes] = {}
     looks: dict[bpy.types.Material, bytes] = {}
     for instance in context.evaluated_depsgraph_get().object_instances:
         obj = instance.object
         owner = (instance.parent if instance.is_instance else obj).original
         if obj.type != "MESH" or owner not in rendered:
+            continue
+        if obj.original.data.is_editmode:
+            edited.add(owner.name)
             continue
         digest = hashes.get(owner.name) or hashlib.blake2b(digest_size=8)
         hashes[owner.name] = digest
@@ -319,7 +324,7 @@ def fingerprint(context: bpy.types.Context) -> dict[str, str]:
             if slot.material is not None and slot.material.original not in looks:
                 looks[slot.material.original] = materials.digest(slot.material.original)
             digest.update(looks[slot.material.original] if slot.material else b"-")
-    return {name: digest.hexdigest() if digest else "" for name, digest in hashes.items()}
+    return {name: digest.hexdigest() if digest and name not in edited else "" for name, digest in hashes.items()}
 
 
 def changed_objects(before: dict[str, str], after: dict[str, str]) -> list[str]:

@@ -12,8 +12,8 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from ..core.scene import Scene, SceneError
-from . import materials
+from ..core.scene import Scene
+from . import cycles, materials
 from .meshes import LAYER
 from .snapshot import read_layer, rectangle, write_layer
 from .unfolded import Unfolded
@@ -92,14 +92,9 @@ class _Studio:
         self.copies: dict[bpy.types.Material | None, bpy.types.Material] = {}
 
     def __enter__(self):
+        cycles.require("Textured materials need")
         self.scene = bpy.data.scenes.new("Lightpanes Maps")
-        try:
-            self.scene.render.engine = "CYCLES"
-        except TypeError as error:
-            bpy.data.scenes.remove(self.scene)
-            raise SceneError(
-                "Textured materials need Cycles: turn on the add-on Cycles Render Engine in Preferences."
-            ) from error
+        self.scene.render.engine = "CYCLES"
         self.scene.cycles.device = "CPU"
         self.scene.cycles.samples = 1
         self.scene.cycles.use_denoising = False

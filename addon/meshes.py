@@ -13,6 +13,12 @@ AT_VERTICES = "lightpanes_vertices"
 FARTHEST = 1e15  # m
 
 
+def in_edit_mode() -> bool:
+    """Whether any mesh is in Edit Mode, where it holds no attributes. Of any scene: collections that are instanced need
+    not be in the one that is looked at."""
+    return any(mesh.is_editmode for mesh in bpy.data.meshes)
+
+
 @dataclass
 class Faces:
     """The triangles of one evaluated mesh in its own space; shared by all its instances.

@@ -114,7 +114,8 @@ def lit(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def show(scene: bpy.types.Scene, values: np.ndarray) -> list[str]:
-    """Write the light of the bake's places, (v, 3) float32, to the meshes; returns what to tell the user."""
+    """Write the light of the bake's places, (v, 3) float32, to the meshes that are not in Edit Mode; returns what to tell
+    the user."""
     if not len(values):
         return []
     # the first row is for vertices that the bake does not know
@@ -123,12 +124,13 @@ def show(scene: bpy.types.Scene, values: np.ndarray) -> list[str]:
     table[:, 3] = 1
     told = []
     for item in lit(scene):
+        if item.data.is_editmode:
+            continue
         light, place = (item.data.attributes.get(name) for name in (LIGHT, PLACE))
         if light is None or place is None or (light.data_type, light.domain) != ("FLOAT_COLOR", place.domain):
             told.append(f"The attribute '{LIGHT}' of '{item.name}' has been deleted or converted; bake again.")
             continue
         index = np.empty(len(place.data), np.int32)
-        # in Edit Mode the mesh holds no attributes; it gets its light at the next relight
         if not len(index) or len(light.data) != len(index):
             continue
         place.data.foreach_get("value", index)

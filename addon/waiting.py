@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import bpy
 
+from .meshes import in_edit_mode
+
 
 def renders() -> bool:
     """Whether a render runs, in a window; it reads what a bake would write."""
@@ -13,12 +15,11 @@ def renders() -> bool:
 def reason() -> str:
     """What to wait for just now, for the user; "" for nothing.
 
-    A mesh in Edit Mode holds no attributes, and one whose topology changes under a brush is written anew afterwards.
+    A mesh in Edit Mode holds no attributes, and one whose topology changes under a brush is made anew afterwards.
     """
     if renders():
         return "Waiting for the render"
-    # of any scene: collections that are instanced need not be in the one that is baked
-    if any(mesh.is_editmode for mesh in bpy.data.meshes):
+    if in_edit_mode():
         return "Waiting for you to leave Edit Mode"
     if any(item.mode == "SCULPT" and item.use_dynamic_topology_sculpting for item in bpy.data.objects):
         return "Waiting for you to leave Sculpt Mode"

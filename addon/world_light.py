@@ -19,18 +19,10 @@ def is_hidden(world: bpy.types.World) -> bool:
 
 def shines(world: bpy.types.World | None) -> bool:
     """Whether the world lights diffuse surfaces, as far as its nodes show it plainly: what varies is taken to shine."""
-    if world is None or not world.cycles_visibility.diffuse:
+    if not environment.lights_surfaces(world):
         return False
-    if not _uses_nodes(world):
-        return any(world.color)
-    output = world.node_tree.get_output_node("CYCLES")
-    source = environment.linked_node(output.inputs["Surface"]) if output is not None else None
-    if source is None:
-        return False
-    if source.type == "BACKGROUND" and not source.mute:
-        parts = [environment.constant(source.inputs[name]) for name in ("Color", "Strength")]
-        return all(part is None or part.any() for part in parts)
-    return True
+    plain = environment.plain(world)
+    return plain is None or bool(plain.any())
 
 
 def hide(world: bpy.types.World) -> None:

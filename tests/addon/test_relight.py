@@ -366,3 +366,149 @@ def test_deleted_images(baked, role, tmp_path):
 def test_no_bake(room):
     with pytest.raises(SceneError, match=r"Scene 'Scene' has no bake; press Bake first\."):
         relight.relight(bpy.context)
+
+
+def edit(name="Block"):
+    bpy.ops.object.select_all(action="DESELECT")
+    bpy.context.view_layer.objects.active = bpy.data.objects[name]
+    bpy.ops.object.mode_set(mode="EDIT")
+
+
+def leave():
+    bpy.ops.object.mode_set(mode="OBJECT")
+    update()
+
+
+def test_in_edit_mode(baked):
+    """Nothing has changed yet, and lamps still shine."""
+    before = image().copy()
+    edit()
+    update()
+    assert relight.check_stale(bpy.context) == ()
+    bpy.data.lights["Lamp"].energy *= 2
+    relight.relight(bpy.context)
+    assert np.allclose(image(), 2 * before, rtol=1e-4, atol=1e-6)
+    leave()
+    assert relight.check_stale(bpy.context) == ()
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_edited_in_edit_mode(baked, tmp_path, shared):
+    """It is told afterwards, and shadows of a shape that is gone again go, too."""
+    if shared:
+        twin = bpy.data.objects.new("Twin", bpy.data.objects["Block"].data)
+        baked.collection.objects.link(twin)
+        twin.location = (-0.5, 0.5, 0.5)
+        update()
+        bpy.ops.lightpanes.bake()
+    before = image().copy()
+    scene = reopen(tmp_path)
+    edit()
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.transform.translate(value=(0, 0, 0.5))
+    bpy.data.lights["Lamp"].energy *= 1.0001
+    relight.relight(bpy.context)
+    leave()
+    assert "'Block' was moved or edited since the bake; bake again." in relight.check_stale(bpy.context)
+    edit()
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.transform.translate(value=(0, 0, -0.5))
+    leave()
+    bpy.data.lights["Lamp"].energy /= 1.0001
+    relight.relight(bpy.context)
+    relight.relight(bpy.context)
+    assert np.allclose(image(scene), before, rtol=1e-3, atol=1e-5)
+
+
+def test_light_at_vertices_after_edit_mode(room):
+    block = bpy.data.objects["Block"]
+    block.lightpanes.target = "VERTICES"
+    bpy.ops.lightpanes.bake()
+
+    def light():
+        return np.array([tuple(value.color) for value in block.data.attributes["lightpanes_irradiance"].data])[:, :3]
+
+    before = light()
+    edit()
+    bpy.data.lights["Lamp"].energy *= 2
+    update()
+    assert not relight.session(room).error
+    leave()
+    assert np.allclose(light(), 2 * before, rtol=1e-4, atol=1e-6)
+
+
+@pytest.fixture
+def world(room):
+    made = room.world = bpy.data.worlds.new("Sky")
+    if made.node_tree is None:
+        made.use_nodes = True
+    # a window, through which it shines
+    bpy.data.objects["Room"].data.materials.append(bpy.data.materials.new("Glass"))
+    background(made).inputs["Color"].default_value = (0.2, 0.3, 0.5, 1)
+    return made
+
+
+def background(world):
+    return next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
+
+
+WORLD = ("The world was changed since the bake; bake again.",)
+
+
+def test_a_world_of_another_colour_is_stale(world):
+    bpy.ops.lightpanes.bake()
+    assert relight.check_stale(bpy.context) == ()
+    background(world).inputs["Color"].default_value = (1, 0, 0, 1)
+    assert relight.check_stale(bpy.context) == WORLD
+    background(world).inputs["Color"].default_value = (0.2, 0.3, 0.5, 1)
+    assert relight.check_stale(bpy.context) == ()
+
+
+def test_another_world_is_stale(room, world):
+    bpy.ops.lightpanes.bake()
+    room.world = None
+    assert relight.check_stale(bpy.context) == WORLD
+    room.world = world.copy()
+    assert relight.check_stale(bpy.context) == ()
+    world.color = (1, 1, 1)
+    assert relight.check_stale(bpy.context) == ()
+
+
+def test_a_sky_whose_sun_moved_is_stale(world):
+    sky = world.node_tree.nodes.new("ShaderNodeTexSky")
+    world.node_tree.links.new(sky.outputs[0], background(world).inputs["Color"])
+    bpy.ops.lightpanes.bake()
+    assert relight.check_stale(bpy.context) == ()
+    sky.sun_elevation *= 0.5
+    assert relight.check_stale(bpy.context) == WORLD
+
+
+@pytest.mark.parametrize("nodes", [False, True])
+def test_the_world_is_the_same_behind_our_nodes(world, nodes):
+    from lightpanes.addon import world_light
+
+    if not nodes and bpy.app.version < (5, 0):
+        world.use_nodes = False
+    elif nodes:
+        sky = world.node_tree.nodes.new("ShaderNodeTexSky")
+        world.node_tree.links.new(sky.outputs[0], background(world).inputs["Color"])
+    bpy.ops.lightpanes.bake()
+    world_light.hide(world)
+    assert relight.check_stale(bpy.context) == ()
+
+
+def test_the_world_is_looked_at_again_when_it_changes(world, monkeypatch):
+    bpy.ops.lightpanes.bake()
+    seen = []
+
+    def note(_scene, depsgraph):
+        current = relight.session(bpy.context.scene)
+        seen.extend(change.id.name for change in depsgraph.updates if relight._may_stale(current, change))
+
+    bpy.app.handlers.depsgraph_update_post.append(note)
+    try:
+        background(world).inputs["Strength"].default_value = 2.0
+        update()
+    finally:
+        bpy.app.handlers.depsgraph_update_post.remove(note)
+    assert seen == ["Sky"]
