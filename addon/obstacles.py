@@ -29,17 +29,22 @@ MOST_REAL = 1000
 @dataclass(frozen=True)
 class Obstacle:
     """kind: its name, and that of its fix. severity: ERROR where a bake can't be made or would hold nothing, else
-    WARNING. names: of the objects that it is about. button: label of the one-click fix, "" without one. target: the
-    object by which obstacles of one kind are told apart, "" where one stands for all objects."""
+    WARNING. about: names of the objects that it is about, and the numbers that tell them apart, since a linked and a
+    local one may share a name. button: label of the one-click fix, "" without one. target: what tells obstacles of one
+    kind apart, the object's number for those that a button mends, "" where one stands for all objects."""
 
     kind: str
     severity: str
     sentence: str
-    names: tuple[str, ...] = ()
+    about: tuple[tuple[str, int], ...] = ()
     button: str = ""
     target: str = ""
 
     OPERATOR = "lightpanes.fix"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(name for name, _ in self.about)
 
     @property
     def properties(self) -> dict[str, str]:
@@ -111,14 +116,14 @@ def find(facts: Facts) -> list[Obstacle]:
 
 def named(items: Iterable) -> str:
     """'A', 'B' and 3 more."""
-    names = [f"'{name}'" for name in names_of(items)]
+    names = [f"'{item.name}'" for item in items]
     if len(names) > 3:
         names[2:] = [f"{len(names) - 2} more"]
     return " and ".join((", ".join(names[:-1]), names[-1])) if len(names) > 1 else names[0]
 
 
-def names_of(items: Iterable) -> tuple[str, ...]:
-    return tuple(item.name for item in items)
+def about(*items: bpy.types.ID) -> tuple[tuple[str, int], ...]:
+    return tuple((item.name, item.session_uid) for item in items)
 
 
 def _nothing(facts) -> Iterator[Obstacle]:
@@ -133,15 +138,15 @@ def _nothing(facts) -> Iterator[Obstacle]:
             ERROR,
             f"{begin} every mesh in scene '{scene}' is hidden from renders. "
             "Turn on its camera icon in the Outliner, or that of its collection.",
-            names_of(facts.surfaces),
+            about(*facts.surfaces),
             "Show in Renders",
         )
     elif shown and all(item.lightpanes.exclude for item in shown):
         sentence = f"{begin} every mesh in scene '{scene}' is excluded from Lightpanes."
-        yield Obstacle("ALL_EXCLUDED", ERROR, sentence, names_of(shown), "Include All")
+        yield Obstacle("ALL_EXCLUDED", ERROR, sentence, about(*shown), "Include All")
     elif shown and all(item.type == "MESH" and not item.data.polygons for item in shown):
         sentence = f"{begin} '{shown[0].name}' has no faces. Add some."
-        yield Obstacle("NO_FACES", ERROR, sentence, names_of(shown))
+        yield Obstacle("NO_FACES", ERROR, sentence, about(*shown))
     elif not facts.receivers:
         sentence = "No object can receive light: add a mesh with faces that renders, or clear Exclude on one."
         yield Obstacle("NO_RECEIVER", ERROR, sentence)
@@ -151,7 +156,7 @@ def _mode(facts) -> Iterator[Obstacle]:
     editing = [item for item in facts.surfaces if item.type == "MESH" and item.data.is_editmode]
     if editing:
         sentence = f"'{editing[0].name}' is in Edit Mode: leave it (Tab) and bake again."
-        yield Obstacle("EDIT_MODE", ERROR, sentence, names_of(editing), "Leave Edit Mode")
+        yield Obstacle("EDIT_MODE", ERROR, sentence, about(*editing), "Leave Edit Mode")
     elif facts.context.mode != "OBJECT":
         sentence = "Bakes start in Object Mode only, and another mode is on."
         yield Obstacle("OTHER_MODE", ERROR, sentence, button="To Object Mode")
@@ -167,10 +172,10 @@ def _layers(facts) -> Iterator[Obstacle]:
         name = item.name
         if len(layers) >= MOST_LAYERS:
             sentence = f"'{name}' has 8 UV layers, the most that Blender allows: delete one, or exclude the object."
-            yield Obstacle("UV_LAYERS", ERROR, sentence, (name,), "Exclude", name)
+            yield Obstacle("UV_LAYERS", ERROR, sentence, about(item), "Exclude", str(item.session_uid))
         if LAYER in item.data.attributes:
             sentence = f"'{name}' has an attribute named '{LAYER}' that is not a UV layer: rename it."
-            yield Obstacle("ATTRIBUTE", ERROR, sentence, (name,), "Rename", name)
+            yield Obstacle("ATTRIBUTE", ERROR, sentence, about(item), "Rename", str(item.session_uid))
 
 
 def _exits(facts) -> Iterator[Obstacle]:
@@ -179,7 +184,7 @@ def _exits(facts) -> Iterator[Obstacle]:
             "EXITS",
             ERROR,
             f"'Points, Spread to Texels' has no place for light at vertices, as {named(facts.at_vertices)} would have it.",
-            names_of(facts.at_vertices),
+            about(*facts.at_vertices),
             "Light At: Automatic",
         )
 
@@ -191,7 +196,7 @@ def _lamps(facts) -> Iterator[Obstacle]:
             "NO_LAMP",
             WARNING,
             f"Scene '{facts.scene.name}' has no visible lamp; the light follows as soon as you add or show one.",
-            names_of(facts.all_lamps),
+            about(*facts.all_lamps),
             "Show Lamps" if facts.all_lamps else "Add Lamp",
         )
     dark = [item for item in lamps if item.data.energy == 0 and item.data.animation_data is None]
@@ -201,7 +206,7 @@ def _lamps(facts) -> Iterator[Obstacle]:
     if dark:
         sentence = f"The power of {named(dark)} is 0, so that there is no light to bake."
         button = "Set Power" if any(item.data.library is None for item in dark) else ""
-        yield Obstacle("NO_POWER", WARNING, sentence, names_of(dark), button)
+        yield Obstacle("NO_POWER", WARNING, sentence, about(*dark), button)
 
 
 def _not_meshes(facts) -> Iterator[Obstacle]:
@@ -214,7 +219,7 @@ def _not_meshes(facts) -> Iterator[Obstacle]:
             what = "is not a mesh: it blocks and reflects" if one else "are not meshes: they block and reflect"
             kind = "CONVERT" if button else "NOT_A_MESH"
             sentence = f"{named(items)} {what} light but receive{'s' * one} none. Use Object > Convert > Mesh."
-            yield Obstacle(kind, WARNING, sentence, names_of(items), button)
+            yield Obstacle(kind, WARNING, sentence, about(*items), button)
 
 
 def has_surface(item: bpy.types.Object) -> bool:
@@ -250,9 +255,9 @@ def _instances(facts) -> Iterator[Obstacle]:
             WARNING,
             f"Instances made by '{item.name}' block and reflect light but receive none. "
             "Use Object > Apply > Make Instances Real.",
-            (item.name,),
+            about(item),
             "Make Real" if few and item.library is None else "",
-            item.name,
+            str(item.session_uid),
         )
 
 
@@ -273,10 +278,10 @@ def _particles(facts) -> Iterator[Obstacle]:
             strands.append(item)
     if instancing:
         sentence = f"Particles of {named(instancing)} block and reflect light but receive none."
-        yield Obstacle("PARTICLES", WARNING, sentence, names_of(instancing))
+        yield Obstacle("PARTICLES", WARNING, sentence, about(*instancing))
     if strands:
         sentence = f"Hair or particles of {named(strands)} are not objects: they neither block nor reflect light."
-        yield Obstacle("HAIR", WARNING, sentence, names_of(strands))
+        yield Obstacle("HAIR", WARNING, sentence, about(*strands))
 
 
 def _linked(facts) -> Iterator[Obstacle]:
@@ -287,7 +292,7 @@ def _linked(facts) -> Iterator[Obstacle]:
             "come from a linked library: they block and reflect"
         )  # fmt: skip
         sentence = f"{named(linked)} {what} light but receive{'s' * one} none."
-        yield Obstacle("LINKED", WARNING, sentence, names_of(linked), "Make Local")
+        yield Obstacle("LINKED", WARNING, sentence, about(*linked), "Make Local")
 
 
 def _faceless(facts) -> Iterator[Obstacle]:
@@ -299,7 +304,7 @@ def _faceless(facts) -> Iterator[Obstacle]:
     ]
     if empty and facts.receivers:
         sentence = f"{named(empty)} {'has' if len(empty) == 1 else 'have'} no faces and so no part in the bake."
-        yield Obstacle("FACELESS", WARNING, sentence, names_of(empty), "Hide from Renders")
+        yield Obstacle("FACELESS", WARNING, sentence, about(*empty), "Hide from Renders")
 
 
 def _untraced(facts) -> Iterator[Obstacle]:
@@ -310,7 +315,7 @@ def _untraced(facts) -> Iterator[Obstacle]:
     for kind in sorted(met):
         items = sorted(met[kind], key=lambda item: item.name)
         sentence = f"{named(items)}: {NOT_TRACED[kind]} neither blocks nor reflects light in a bake."
-        yield Obstacle("UNTRACED", WARNING, sentence, names_of(items), target=items[0].name)
+        yield Obstacle("UNTRACED", WARNING, sentence, about(*items), target=kind)
 
 
 def _vertices(facts) -> Iterator[Obstacle]:
@@ -321,10 +326,10 @@ def _vertices(facts) -> Iterator[Obstacle]:
         begin = f"'{item.name}' can't be lit at its vertices and takes a texture instead, because it"
         if facts.shares_mesh(item):
             sentence = f"{begin} shares its mesh with others."
-            yield Obstacle("SHARED_MESH", WARNING, sentence, (item.name,), "Make Single User", item.name)
+            yield Obstacle("SHARED_MESH", WARNING, sentence, about(item), "Make Single User", str(item.session_uid))
         elif _has_own_light(item):
             sentence = f"{begin} has an attribute '{vertices.LIGHT}' of its own."
-            yield Obstacle("LIGHT_ATTRIBUTE", WARNING, sentence, (item.name,), "Rename", item.name)
+            yield Obstacle("LIGHT_ATTRIBUTE", WARNING, sentence, about(item), "Rename", str(item.session_uid))
 
 
 def _looks(facts) -> Iterator[Obstacle]:

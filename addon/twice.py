@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import bpy
 
 from . import former, store, world_light
-from .obstacles import WARNING, Facts, Obstacle, named, names_of
+from .obstacles import WARNING, Facts, Obstacle, about, named
 
 EEVEE = {"BLENDER_EEVEE", "BLENDER_EEVEE_NEXT"}
 # The fast GI method that only darkens, and adds no light.
@@ -69,7 +69,7 @@ def _probes(facts) -> Iterator[Obstacle]:
         probes.sort(key=lambda item: item.name)
         sentence = f"The indirect light that light probe {named(probes)} holds, once baked, adds to that of the bake."
         button = "Hide Light Probes" if any(item.library is None for item in probes) else ""
-        yield Obstacle("LIGHT_PROBES", WARNING, sentence, names_of(probes), button)
+        yield Obstacle("LIGHT_PROBES", WARNING, sentence, about(*probes), button)
 
 
 def _cycles(scene) -> Iterator[Obstacle]:
