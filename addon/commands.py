@@ -19,6 +19,7 @@ from pathlib import Path
 import bpy
 
 from ..core.bake import BakeError
+from ..core.files import replacing
 from ..core.planner import EXITS
 from ..core.rays import EngineError
 from ..core.scene import SceneError
@@ -297,15 +298,12 @@ def _target(options, path: Path, suffix: str) -> Path:
 
 def _replacing(target: Path, write: Callable[[Path], object]) -> None:
     """Write under a temporary name beside `target`, then put it in place at once."""
-    temporary = target.with_name(f".{target.stem}-{os.getpid()}{target.suffix}")
     try:
-        write(temporary)
-        os.replace(temporary, target)
+        with replacing(target) as temporary:
+            write(temporary)
     except (OSError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or _first_line(error)
         raise UserError(f"Can't write '{target}': {reason}.") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def save_blend(target: Path) -> None:

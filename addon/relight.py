@@ -64,6 +64,8 @@ STALE_DELAY = 0.5
 _sessions: dict[int, Session] = {}
 # Renders run frame changes outside the main thread; a relighter has one set of buffers.
 _lock = threading.Lock()
+# How many ask that the light stay as it is.
+_holds = 0
 
 
 def session(scene: bpy.types.Scene) -> Session | None:
@@ -102,6 +104,18 @@ def paused():
         yield
 
 
+@contextmanager
+def held():
+    """The light does not follow the lamps meanwhile, for frames are gone through that nobody looks at. Unlike `paused`
+    this may last while Blender is free."""
+    global _holds
+    _holds += 1
+    try:
+        yield
+    finally:
+        _holds -= 1
+
+
 def relight(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph | None = None) -> float:
     """Bring the scene's `Lightpanes Irradiance` up to date with its lamps; returns milliseconds.
 
@@ -126,7 +140,7 @@ def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
 
     For handlers: what the user must know goes to the console and into the session, for the panel, once.
     """
-    if not scene.lightpanes.live or not _lock.acquire(blocking=False):
+    if _holds or not scene.lightpanes.live or not _lock.acquire(blocking=False):
         return False
     try:
         current = session(scene)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import bpy
 
+from ..core.files import replacing
 from ..core.scene import SceneError
 from . import store
 
@@ -25,15 +25,12 @@ def save_images(scene: bpy.types.Scene, folder: Path) -> list[Path]:
     files = []
     for image in images:
         target = folder / f"{bpy.path.clean_name(image.name, replace=' ')}.exr"
-        temporary = target.with_name(f".{target.stem}-{os.getpid()}.exr")
         try:
-            image.save(filepath=str(temporary), save_copy=True)
-            os.replace(temporary, target)
+            with replacing(target) as temporary:
+                image.save(filepath=str(temporary), save_copy=True)
         except (OSError, RuntimeError) as error:
             reason = getattr(error, "strerror", None) or str(error).strip().splitlines()[-1]
             raise SceneError(f"Can't write '{target}': {reason}. Choose another folder.") from error
-        finally:
-            temporary.unlink(missing_ok=True)
         files.append(target)
     return files
 
