@@ -248,6 +248,10 @@ def _world_light(context, _obstacle):
     world_light.hide(context.scene.world)
 
 
+def _world_outdated(context, _obstacle):
+    world_light.follow(context.scene.world)
+
+
 def _fast_gi(context, _obstacle):
     scene = context.scene
     former.change(scene, "eevee.use_fast_gi", True)
@@ -289,6 +293,7 @@ FIXES: dict[str, Callable[[bpy.types.Context, Obstacle], list[str] | None]] = {
     "SHARED_MESH": _single_user,
     "LIGHT_ATTRIBUTE": _rename_light,
     "WORLD_LIGHT": _world_light,
+    "WORLD_OUTDATED": _world_outdated,
     "FAST_GI": _fast_gi,
     "LIGHT_PROBES": _probes,
     "CYCLES_BOUNCES": _cycles_bounces,
@@ -313,6 +318,7 @@ HELP = {
     "LIGHT_ATTRIBUTE": "Give the attribute another name, which nodes that use it then need too",
     "WORLD_LIGHT": "EEVEE shows the world where the camera sees it and lights and reflects nothing with it. "
     "Clear takes that back",
+    "WORLD_OUTDATED": "Let EEVEE show the camera what the world's own output shows now",
     "FAST_GI": "Ray tracing goes on for reflections, and diffuse surfaces get ambient occlusion only. "
     "Clear gives the settings back",
     "LIGHT_PROBES": "Hide the volume probes from renders and viewports. Clear shows them again",

@@ -142,6 +142,7 @@ GERMAN_BUTTONS = {
     "Hide from Renders": "Im Rendering ausblenden",
     "Make Single User": "Zum Einzelnutzer machen",
     "Show It to the Camera Only": "Nur der Kamera zeigen",
+    "Show It as It Is": "Zeigen, wie sie ist",
     "Keep Reflections Only": "Nur Spiegelungen behalten",
     "Hide Light Probes": "Lichtsonden ausblenden",
     "Set Diffuse Bounces to 0": "Diffuse Reflexionen auf 0",
