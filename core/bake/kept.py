@@ -28,7 +28,7 @@ class Kept:
 
     def open(self, scene: Scene, settings: Settings) -> None:
         """Forget everything that belongs to another scene or to other settings."""
-        key = digest(scene, settings)
+        key = digest(_what_counts(scene), settings)
         if key != self.key:
             self.clear()
             self.key = key
@@ -51,6 +51,20 @@ class Kept:
         if name not in self.parts:
             self.parts[name] = make()
         return self.parts[name]
+
+
+def _what_counts(scene: Scene) -> list:
+    """All of a scene that its bake depends on. Live lamps tell where light gets to, and panes are then for any lamp: so
+    their places count, in their order, but not their power, size or name."""
+    kept = [getattr(scene, field.name) for field in fields(scene) if field.name != "lights"]
+    for light in scene.lights:
+        if not light.live:
+            kept.append(light)
+        elif light.kind == "SUN":
+            kept.append("SUN")
+        else:
+            kept += [light.kind, light.position, light.direction if light.kind == "AREA" else None]
+    return kept
 
 
 def digest(*things: object) -> bytes:

@@ -58,6 +58,39 @@ def test_what_is_kept_belongs_to_one_scene_and_its_settings():
     assert same(bake(made(), quick(seed=3), kept=kept), bake(made(), quick(seed=3)))
 
 
+@pytest.mark.parametrize("exits", ["texels", "points"])
+@pytest.mark.parametrize("kind", ["POINT", "SPOT", "AREA", "SUN"])
+def test_a_live_lamp_that_was_dimmed_changes_no_bake(exits, kind):
+    """Nor does its size; so what was finished before is of use."""
+
+    def lit(**more):
+        return room(lights=[lamp((1, 1, 2), kind=kind, **more)])
+
+    other = lit(power=(0.1, 2, 3), radius=0.3, size=(0.2, 0.1), angle=0.1, spot_angle=0.5)
+    settings = quick(exits=exits)
+    kept, seen = Kept(), []
+    with pytest.raises(Cancelled):
+        bake(lit(), settings, cancel_at("Exits", 0.0, []), kept)
+    again = bake(other, settings, lambda now: seen.append(now.stage), kept)
+    assert same(again, bake(other, settings)) and same(again, bake(lit(), settings))
+    assert "Transport" not in seen
+
+
+@pytest.mark.parametrize("change", ["moved", "baked in", "another kind", "another"])
+def test_a_lamp_by_which_light_gets_elsewhere(change):
+    lights = {
+        "moved": [lamp((1, 1, 2.1))],
+        "baked in": [lamp((1, 1, 2), live=False)],
+        "another kind": [lamp((1, 1, 2), kind="SUN")],
+        "another": [lamp((1, 1, 2)), lamp((2, 1, 2))],
+    }
+    kept = Kept()
+    kept.open(made(), quick())
+    key = kept.key
+    kept.open(room(lights=lights[change]), quick())
+    assert kept.key != key
+
+
 def test_an_error_leaves_nothing():
     """It may have come in the middle of a chunk, half of whose rays are counted."""
     kept = Kept()
