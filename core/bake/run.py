@@ -22,6 +22,12 @@ from .record import Bake, point_arrays
 from .steps import Prepared, in_time, prepare
 from .stored import Stored, bake_points, spread_to_texels
 
+MISSED = 1.5
+"""Error over the one asked for from which on the user is told."""
+
+PARTS = {"panes": "in the panes", "gather noise": "noise", "points": "between points"}
+"""Where the parts of an error are, in words."""
+
 
 def bake(
     scene: Scene,
@@ -81,8 +87,9 @@ def _bake(scene, settings, clock, kept):
     else:
         parts["points"] = interpolation_error(made, stored, seed)
     clock.stop()
+    error = float(np.sqrt(sum(part**2 for part in parts.values())))
     report = {
-        "error": float(np.sqrt(sum(part**2 for part in parts.values()))),
+        "error": error,
         "error_parts": parts,
         "skipped": {} if made.test_direct is not None else {"panes": "no lamp is live"},
         "error_target": settings.error_target,
@@ -97,7 +104,7 @@ def _bake(scene, settings, clock, kept):
         "regions": made.modes.regions,
         "panes_per_texel": made.modes.panes,
         "budget": asdict(made.budget),
-        "warnings": made.warnings,
+        "warnings": made.warnings + _missed(made, settings, error, parts),
     }
     points = None
     if stored is not None:
@@ -111,6 +118,24 @@ def _bake(scene, settings, clock, kept):
     if clock.progress is not None:
         clock.progress(Progress("Done", 1.0, clock.rays))
     return result
+
+
+def _missed(made: Prepared, settings: Settings, error: float, parts: dict[str, float]) -> list[str]:
+    """A warning where the error is far from the one asked for, by budgets that nobody set by hand."""
+    by_hand = any(getattr(settings, name) is not None for name in asdict(made.budget))
+    if by_hand or error <= MISSED * settings.error_target:
+        return []
+    worst = max(parts, key=parts.get)
+    if settings.time_budget:
+        remedy = "allow more Time"
+    elif worst == "points" and not len(made.vertices):
+        remedy = "set Light At to Texels"
+    else:
+        remedy = "ask for a lower Error"
+    return [
+        f"The error is {100 * error:.1f} % where {100 * settings.error_target:.1f} % was asked for, most of it "
+        f"{PARTS[worst]}: {remedy}."
+    ]
 
 
 def _at_texels(made: Prepared, settings: Settings, clock: Clock) -> tuple[Panes, np.ndarray | None]:

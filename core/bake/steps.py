@@ -170,6 +170,8 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None, kept: 
 def in_time(made: Prepared, settings: Settings, clock: Clock, rays: str, places: int) -> None:
     """Cut the budget's `rays` (a field of Budget) from so many places to what a time budget leaves for them."""
     if settings.time_budget:
+        # without live lamps no stage has begun since the transport
+        clock.stop()
         traced = len(made.entries) * made.budget.entry_rays
         rate = traced / max(clock.seconds["Transport"], 1e-3)
         made.budget = limit_rays(made.budget, rays, places, rate, 0.9 * (settings.time_budget - clock.spent))
