@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 
 from ..core.scene import SceneError
-from . import visibility
+from . import refusals, visibility
 from .charts import next_loop
 from .layout import Unwrapped, lay_out
 from .meshes import AT_VERTICES, LAYER, are_numbers, loop_triangles, read_attribute, weight_of
@@ -29,19 +29,18 @@ ANGLE_LIMIT = np.radians(66.0)
 def receivers(context: bpy.types.Context, objects: Iterable[bpy.types.Object], warnings: list[str]) -> list:
     """Those of the objects that can have a place in the atlas: meshes with faces that render, not excluded."""
     rendered = visibility.rendered_objects(context.view_layer)
-    found = []
+    found, linked = [], []
     for obj in sorted(rendered.intersection(objects), key=lambda obj: obj.name):
         if obj.type != "MESH" or getattr(getattr(obj, "lightpanes", None), "exclude", False):
             continue
-        if obj.library or obj.data.library:
-            warnings.append(
-                f"'{obj.name}' comes from a linked library, so it blocks and reflects light but receives none: "
-                "use Object > Relations > Make Local > Selected Objects and Data."
-            )
-        elif obj.mode == "EDIT":
-            raise SceneError(f"'{obj.name}' is in Edit Mode: leave it (Tab) and bake again.")
+        if refusals.is_linked(obj):
+            linked.append(obj)
+        elif obj.data.is_editmode:
+            raise SceneError(refusals.in_edit_mode(obj))
         elif obj.data.polygons:
             found.append(obj)
+    if linked:
+        warnings.append(refusals.linked(linked))
     return found
 
 
@@ -112,13 +111,10 @@ def _owners(objects) -> dict[bpy.types.Mesh, list]:
     """Objects by the mesh that they have."""
     users: dict[bpy.types.Mesh, list] = {}
     for obj in objects:
-        layers = obj.data.uv_layers
-        if LAYER not in layers and len(layers) >= 8:
-            raise SceneError(
-                f"'{obj.name}' has 8 UV layers, the most that Blender allows: delete one, or exclude the object."
-            )
-        if LAYER not in layers and LAYER in obj.data.attributes:
-            raise SceneError(f"'{obj.name}' has an attribute named '{LAYER}' that is not a UV layer: rename it.")
+        if refusals.has_no_layer_left(obj):
+            raise SceneError(refusals.no_layer_left(obj))
+        if refusals.has_foreign_attribute(obj):
+            raise SceneError(refusals.foreign_attribute(obj))
         users.setdefault(obj.data, []).append(obj)
     return users
 

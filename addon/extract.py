@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 from ..core.scene import Scene, SceneError, SceneObject
-from . import lamps, materials, visibility
+from . import lamps, materials, refusals, visibility
 from .meshes import AT_VERTICES, LAYER, Faces, are_numbers, read_attribute, read_faces, weight_of
 from .snapshot import rectangle
 from .unfolded import Unfolded
@@ -260,10 +260,7 @@ def _takes_light(instance, original, place, warnings) -> bool:
                 f"'{name}' is not a mesh: it blocks and reflects light but receives none. Use Object > Convert > Mesh."
             )
         else:
-            owner = instance.parent.original.name
-            warnings.append(
-                f"Instances made by '{owner}' block and reflect light but receive none. Use Object > Apply > Make Instances Real."
-            )
+            warnings.append(refusals.instances(instance.parent.original))
         return False
     return bool(place.get("lightpanes_baked", 0.0))
 

@@ -6,21 +6,17 @@ the buttons do. What only a bake finds out (charts that don't fit, vertices that
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import bpy
 
-from . import materials, store, vertices, visibility
+from . import materials, refusals, store, vertices, visibility
 from .extract import GEOMETRY, NOT_TRACED
-from .meshes import LAYER
+from .refusals import is_linked, named
 
 ERROR, WARNING = "ERROR", "WARNING"
-
-MOST_LAYERS = 8
-"""UV layers that Blender allows a mesh."""
 
 MOST_REAL = 1000
 """Instances that one click may turn into objects."""
@@ -79,28 +75,27 @@ class Facts:
     def at_vertices(self) -> list[bpy.types.Object]:
         """Receivers that ask for light at their vertices and can have it, as far as their modifiers allow."""
         asking = [item for item in self.receivers if item.lightpanes.target == "VERTICES"]
-        return [item for item in asking if not (self.shares_mesh(item) or _has_own_light(item))]
+        return [item for item in asking if self.sharer(item) is None and not _has_own_light(item)]
 
-    def shares_mesh(self, item: bpy.types.Object) -> bool:
-        """Whether another receiver has the same mesh."""
-        return self._users[item.data] > 1
+    def sharer(self, item: bpy.types.Object) -> bpy.types.Object | None:
+        """Another receiver that has the same mesh."""
+        return next((other for other in self._users[item.data] if other != item), None)
 
     @cached_property
-    def _users(self) -> Counter:
-        return Counter(item.data for item in self.receivers)
+    def _users(self) -> dict[bpy.types.Mesh, list[bpy.types.Object]]:
+        users: dict[bpy.types.Mesh, list[bpy.types.Object]] = {}
+        for item in self.receivers:
+            users.setdefault(item.data, []).append(item)
+        return users
 
 
 def _receives(item) -> bool:
     return (
         item.type == "MESH"
         and not item.lightpanes.exclude
-        and not _is_linked(item)
+        and not is_linked(item)
         and (item.mode == "EDIT" or len(item.data.polygons) > 0)
     )
-
-
-def _is_linked(item) -> bool:
-    return item.library is not None or item.data.library is not None
 
 
 def _has_own_light(item) -> bool:
@@ -112,14 +107,6 @@ def find(facts: Facts) -> list[Obstacle]:
     """All of them, those that stop a bake first."""
     found = [obstacle for finder in FINDERS for obstacle in finder(facts)]
     return sorted(found, key=lambda obstacle: obstacle.severity != ERROR)
-
-
-def named(items: Iterable) -> str:
-    """'A', 'B' and 3 more."""
-    names = [f"'{item.name}'" for item in items]
-    if len(names) > 3:
-        names[2:] = [f"{len(names) - 2} more"]
-    return " and ".join((", ".join(names[:-1]), names[-1])) if len(names) > 1 else names[0]
 
 
 def about(*items: bpy.types.ID) -> tuple[tuple[str, int], ...]:
@@ -155,7 +142,7 @@ def _nothing(facts) -> Iterator[Obstacle]:
 def _mode(facts) -> Iterator[Obstacle]:
     editing = [item for item in facts.surfaces if item.type == "MESH" and item.data.is_editmode]
     if editing:
-        sentence = f"'{editing[0].name}' is in Edit Mode: leave it (Tab) and bake again."
+        sentence = refusals.in_edit_mode(editing[0])
         yield Obstacle("EDIT_MODE", ERROR, sentence, about(*editing), "Leave Edit Mode")
     elif facts.context.mode != "OBJECT":
         sentence = "Bakes start in Object Mode only, and another mode is on."
@@ -166,16 +153,13 @@ def _layers(facts) -> Iterator[Obstacle]:
     """Meshes in which the UV layer finds no place."""
     lit = set(facts.at_vertices)
     for item in facts.receivers:
-        layers = item.data.uv_layers
-        if item in lit or item.mode == "EDIT" or LAYER in layers:
+        if item in lit or item.data.is_editmode:
             continue
-        name = item.name
-        if len(layers) >= MOST_LAYERS:
-            sentence = f"'{name}' has 8 UV layers, the most that Blender allows: delete one, or exclude the object."
-            yield Obstacle("UV_LAYERS", ERROR, sentence, about(item), "Exclude", str(item.session_uid))
-        if LAYER in item.data.attributes:
-            sentence = f"'{name}' has an attribute named '{LAYER}' that is not a UV layer: rename it."
-            yield Obstacle("ATTRIBUTE", ERROR, sentence, about(item), "Rename", str(item.session_uid))
+        target = str(item.session_uid)
+        if refusals.has_no_layer_left(item):
+            yield Obstacle("UV_LAYERS", ERROR, refusals.no_layer_left(item), about(item), "Exclude", target)
+        if refusals.has_foreign_attribute(item):
+            yield Obstacle("ATTRIBUTE", ERROR, refusals.foreign_attribute(item), about(item), "Rename", target)
 
 
 def _exits(facts) -> Iterator[Obstacle]:
@@ -236,7 +220,7 @@ def converts_safely(item: bpy.types.Object) -> bool:
     data = item.data
     return (
         item.type in {"CURVE", "SURFACE", "FONT"}
-        and not _is_linked(item)
+        and not is_linked(item)
         and data.users == 1
         and data.animation_data is None
         and data.shape_keys is None
@@ -253,8 +237,7 @@ def _instances(facts) -> Iterator[Obstacle]:
         yield Obstacle(
             "INSTANCES",
             WARNING,
-            f"Instances made by '{item.name}' block and reflect light but receive none. "
-            "Use Object > Apply > Make Instances Real.",
+            refusals.instances(item),
             about(item),
             "Make Real" if few and item.library is None else "",
             str(item.session_uid),
@@ -285,14 +268,9 @@ def _particles(facts) -> Iterator[Obstacle]:
 
 
 def _linked(facts) -> Iterator[Obstacle]:
-    linked = [item for item in facts.shown if item.type == "MESH" and not item.lightpanes.exclude and _is_linked(item)]
+    linked = [item for item in facts.shown if item.type == "MESH" and not item.lightpanes.exclude and is_linked(item)]
     if linked:
-        one = len(linked) == 1
-        what = "comes from a linked library: it blocks and reflects" if one else (
-            "come from a linked library: they block and reflect"
-        )  # fmt: skip
-        sentence = f"{named(linked)} {what} light but receive{'s' * one} none."
-        yield Obstacle("LINKED", WARNING, sentence, about(*linked), "Make Local")
+        yield Obstacle("LINKED", WARNING, refusals.linked(linked), about(*linked), "Make Local")
 
 
 def _faceless(facts) -> Iterator[Obstacle]:
@@ -323,13 +301,13 @@ def _vertices(facts) -> Iterator[Obstacle]:
     for item in facts.receivers:
         if item.lightpanes.target != "VERTICES" or item.mode == "EDIT":
             continue
-        begin = f"'{item.name}' can't be lit at its vertices and takes a texture instead, because it"
-        if facts.shares_mesh(item):
-            sentence = f"{begin} shares its mesh with others."
-            yield Obstacle("SHARED_MESH", WARNING, sentence, about(item), "Make Single User", str(item.session_uid))
+        target, other = str(item.session_uid), facts.sharer(item)
+        if other is not None:
+            sentence = refusals.shares_mesh(item, other)
+            yield Obstacle("SHARED_MESH", WARNING, sentence, about(item), "Make Single User", target)
         elif _has_own_light(item):
-            sentence = f"{begin} has an attribute '{vertices.LIGHT}' of its own."
-            yield Obstacle("LIGHT_ATTRIBUTE", WARNING, sentence, about(item), "Rename", str(item.session_uid))
+            sentence = refusals.has_own_light(item, vertices.LIGHT)
+            yield Obstacle("LIGHT_ATTRIBUTE", WARNING, sentence, about(item), "Rename", target)
 
 
 def _looks(facts) -> Iterator[Obstacle]:

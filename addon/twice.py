@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import bpy
 
 from . import former, store, world_light
-from .obstacles import WARNING, Facts, Obstacle, about, named
+from .obstacles import WARNING, Facts, Obstacle, about
+from .refusals import named
 
 EEVEE = {"BLENDER_EEVEE", "BLENDER_EEVEE_NEXT"}
 # The fast GI method that only darkens, and adds no light.

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.scene import Scene
 from ..core.surface import make_vertices
-from . import atlas, visibility
+from . import atlas, refusals, visibility
 from .meshes import AT_VERTICES, read_attribute
 from .snapshot import remove_layer
 
@@ -31,19 +31,15 @@ def choose(context: bpy.types.Context, objects: Iterable[bpy.types.Object]) -> t
     reshaped = _reshaped(context, [item for item in asking if item.modifiers])
     chosen, warnings = [], []
     for item in asking:
-        others = [other.name for other in receivers if other.data == item.data and other != item]
-        if others:
-            reason = f"shares its mesh with '{others[0]}': use Object > Relations > Make Single User > Object & Data"
+        other = next((each for each in receivers if each.data == item.data and each != item), None)
+        if other is not None:
+            warnings.append(refusals.shares_mesh(item, other))
         elif LIGHT in item.data.attributes and OURS not in item.data:
-            reason = f"has an attribute '{LIGHT}' of its own: rename or delete that"
+            warnings.append(refusals.has_own_light(item, LIGHT))
         elif item in reshaped:
-            reason = (
-                "has modifiers that change its vertices, and the light belongs to the mesh without them: apply them"
-            )
+            warnings.append(refusals.reshaped(item))
         else:
             chosen.append(item)
-            continue
-        warnings.append(f"'{item.name}' can't be lit at its vertices and takes a texture instead, because it {reason}.")
     return chosen, warnings
 
 

@@ -4,6 +4,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from lightpanes.addon import baking  # noqa: E402
+
 from .mending import add, found, press  # noqa: E402
 
 
@@ -89,3 +91,20 @@ def test_a_linked_and_a_local_object_of_one_name(room, library):
     (obstacle,) = found("ATTRIBUTE")
     assert press(obstacle) == {"FINISHED"}
     assert "Lightpanes.001" in local.data.attributes and not found("ATTRIBUTE")
+
+
+def test_the_panel_and_the_bake_say_it_in_one_wording(room, library, quick):
+    link(library, "collections", "Set", room)
+    link(library, "objects", "Block", room)
+    room.objects["Room"].lightpanes.target = "VERTICES"
+    twin = add(room, "Twin", bpy.data.objects["Room"].data)
+    twin.scale = (1.2, 1.2, 1.2)
+    part = bpy.data.collections.new("Part")
+    part.objects.link(bpy.data.objects["Block", None])
+    instancer = add(room, "Instancer", None)
+    instancer.instance_type, instancer.instance_collection = "COLLECTION", part
+    bpy.context.view_layer.update()
+    foreseen = {obstacle.sentence for kind in ("LINKED", "SHARED_MESH", "INSTANCES") for obstacle in found(kind)}
+    assert len(foreseen) == 3
+    told = baking.bake_scene(bpy.context)["warnings"]
+    assert foreseen <= set(told) and len(told) == len(foreseen)
