@@ -193,7 +193,6 @@ def _info(options) -> int:
     if meta is None:
         raise UserError(f"'{path.name}' has no bake in scene '{scene.name}'; bake it first.")
     stale = list(relight.check_stale(bpy.context))
-    picture = _draw_points(options, path) if options.points else None
     report = {**context_of(path), "settings": _settings(scene.lightpanes), **meta.get("report", {}), "stale": stale}
     _say(options, operators.summary(report))
     for key, value in report.items():
@@ -201,10 +200,13 @@ def _info(options) -> int:
             _say(options, f"  {key}: {value}")
     for sentence in stale + report.get("warnings", []):
         _say(options, f"  Warning: {sentence}")
-    if picture is not None:
-        report["picture"] = str(picture)
-        _say(options, f"Wrote {picture}")
-    _write_report(options, report)
+    try:
+        if options.points:
+            report["picture"] = str(_draw_points(options, path))
+            _say(options, f"Wrote {report['picture']}")
+    finally:
+        # where there are no points to draw, the rest is of use all the same
+        _write_report(options, report)
     return OK
 
 

@@ -52,16 +52,6 @@ def read_lights(depsgraph: bpy.types.Depsgraph, warnings: list[str]) -> tuple[Li
     return tuple(light for light in lights if light is not None)
 
 
-def read_light(obj: bpy.types.Object, matrix_world, scene: bpy.types.Scene | None = None) -> Light:
-    """One lamp object with the given (4, 4) world matrix. Raises SceneError if it isn't a lamp that shines."""
-    light = None
-    if obj.type == "LIGHT":
-        light = _read(obj, np.array(matrix_world, np.float64), scene, [], obj.name)
-    if light is None:
-        raise SceneError(f"'{obj.name}' is not a lamp that shines; give it energy and a size.")
-    return light
-
-
 def read_sky(world: bpy.types.World | None, warnings: list[str]) -> Sky | None:
     """The world's light; None where it is black or kept from diffuse surfaces.
 

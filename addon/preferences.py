@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 from bpy.props import IntProperty
 
-from ..core import rays
+from ..core import threads
 from . import preflight
 
 ADDON = __package__.rpartition(".")[0]
@@ -13,7 +13,7 @@ ADDON = __package__.rpartition(".")[0]
 
 
 def _threads_changed(preferences, _context):
-    rays.use_threads(preferences.threads)
+    threads.use_threads(preferences.threads)
     # more threads, less time
     preflight.forget()
 
@@ -27,7 +27,7 @@ class LightpanesPreferences(bpy.types.AddonPreferences):
         "the result is the same",
         default=0,
         min=0,
-        max=rays.MOST_THREADS,
+        max=threads.MOST_THREADS,
         update=_threads_changed,
     )
 
@@ -42,9 +42,9 @@ def register() -> None:
     # the pip bpy registers us without an entry among its add-ons
     addon = bpy.context.preferences.addons.get(ADDON)
     if addon is not None and addon.preferences is not None:
-        rays.use_threads(addon.preferences.threads)
+        threads.use_threads(addon.preferences.threads)
 
 
 def unregister() -> None:
-    rays.use_threads(0)
+    threads.use_threads(0)
     bpy.utils.unregister_class(LightpanesPreferences)

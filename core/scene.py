@@ -237,9 +237,3 @@ class Scene:
         """Diagonal of the bounding box, m."""
         used = self.positions[np.unique(self.triangles)]
         return float(np.linalg.norm(np.ptp(used.astype(np.float64), axis=0)))
-
-    @property
-    def needs_see_through(self) -> bool:
-        """Whether any surface lets rays pass straight on."""
-        used = np.unique(self.triangle_material)
-        return any(any(self.materials[i].transmission) for i in used) or self.transmission_map is not None
