@@ -14,8 +14,6 @@ def world(room):
     made = room.world = bpy.data.worlds.new("Sky")
     if made.node_tree is None:
         made.use_nodes = True
-    # a window, through which it shines
-    bpy.data.objects["Room"].data.materials.append(bpy.data.materials.new("Glass"))
     background(made).inputs["Color"].default_value = (0.2, 0.3, 0.5, 1)
     return made
 
