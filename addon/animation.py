@@ -11,7 +11,7 @@ from bpy.props import BoolProperty, IntProperty, StringProperty
 
 from ..core.bake import BakeError, Progress
 from ..core.scene import SceneError
-from . import job, relight, saving, sequence
+from . import job, relight, saving, sequence, waiting
 from .console import ConsoleProgress
 
 SLICE = 0.1
@@ -62,7 +62,7 @@ class LIGHTPANES_OT_bake_animation(bpy.types.Operator):
             cls.poll_message_set("An animation is being written already")
         elif job.running():
             cls.poll_message_set("A bake is running")
-        elif bpy.app.is_job_running("RENDER"):
+        elif waiting.renders():
             cls.poll_message_set("Wait until the render is done")
         else:
             return True

@@ -15,33 +15,32 @@ import bpy
 import numpy as np
 
 from ..core.scene import SceneError
-from . import visibility
+from . import refusals, visibility
 from .charts import next_loop
 from .layout import Unwrapped, lay_out
-from .meshes import AT_VERTICES, BAKE, LAYER, are_numbers, loop_triangles, read_attribute, weight_of
+from .meshes import AT_VERTICES, LAYER, are_numbers, loop_triangles, read_attribute, weight_of
+from .snapshot import Snapshot
+from .unfolded import Unfolded
 from .work import Work, run
 
 ANGLE_LIMIT = np.radians(66.0)
-PLACE = ("lightpanes_scale", "lightpanes_offset", "lightpanes_baked", AT_VERTICES, BAKE)
-DOUBLING = {"MIRROR", "ARRAY", "SOLIDIFY", "SCREW", "NODES", "BOOLEAN", "SKIN", "BUILD"}
 
 
 def receivers(context: bpy.types.Context, objects: Iterable[bpy.types.Object], warnings: list[str]) -> list:
     """Those of the objects that can have a place in the atlas: meshes with faces that render, not excluded."""
     rendered = visibility.rendered_objects(context.view_layer)
-    found = []
+    found, linked = [], []
     for obj in sorted(rendered.intersection(objects), key=lambda obj: obj.name):
         if obj.type != "MESH" or getattr(getattr(obj, "lightpanes", None), "exclude", False):
             continue
-        if obj.library or obj.data.library:
-            warnings.append(
-                f"'{obj.name}' comes from a linked library, so it blocks and reflects light but receives none: "
-                "use Object > Relations > Make Local > Selected Objects and Data."
-            )
-        elif obj.mode == "EDIT":
-            raise SceneError(f"'{obj.name}' is in Edit Mode: leave it (Tab) and bake again.")
+        if refusals.is_linked(obj):
+            linked.append(obj)
+        elif obj.data.is_editmode:
+            raise SceneError(refusals.in_edit_mode(obj))
         elif obj.data.polygons:
             found.append(obj)
+    if linked:
+        warnings.append(refusals.linked(linked))
     return found
 
 
@@ -51,8 +50,14 @@ def make_atlas(
     resolution: int,
     at_vertices: Collection[bpy.types.Object] = (),
 ) -> list[str]:
-    """All of `atlas_steps` at once; returns warnings."""
-    return run(atlas_steps(context, objects, resolution, at_vertices))
+    """All of `atlas_steps` at once, and the scene takes the atlas; returns warnings."""
+    planned, warnings = run(atlas_steps(context, objects, resolution, at_vertices))
+    unfolded = Unfolded(planned)
+    for obj in objects:
+        if obj.type == "MESH":
+            warnings += unfolded.read(context, obj)
+    planned.restore()
+    return warnings
 
 
 def atlas_steps(
@@ -60,15 +65,15 @@ def atlas_steps(
     objects: Iterable[bpy.types.Object],
     resolution: int,
     at_vertices: Collection[bpy.types.Object] = (),
-) -> Generator[float | Work, object, list[str]]:
-    """Give each of the objects that can receive light a place in one atlas of resolution² texels, object by object; yields
-    the part that is done (see `work`) and returns warnings.
+) -> Generator[float | Work, object, tuple[Snapshot, list[str]]]:
+    """Plan for each of the objects that can receive light a place in one atlas of resolution² texels, object by object;
+    yields the part that is done (see `work`) and returns the plan, whose `restore` makes it real, and warnings.
 
-    Makes or updates the UV layer `Lightpanes` of their meshes and the custom properties
-    lightpanes_scale, _offset and _baked; every other object of the scene loses those. Objects that
-    share a mesh share its layer and have a rectangle each; the others' charts are packed one by one.
-    Those in at_vertices are marked as lit there and get neither layer nor place. Texels per metre are the same
-    everywhere but for the objects' weights, and charts stay two texels apart. Raises SceneError, naming the object and what to do, before anything has changed.
+    It holds the UV layer `Lightpanes` of their meshes and the custom properties lightpanes_scale, _offset and _baked;
+    every other object of the scene loses those. Objects that share a mesh share its layer and have a rectangle each;
+    the others' charts are packed one by one. Those in at_vertices are marked as lit there and get neither layer nor
+    place. Texels per metre are the same everywhere but for the objects' weights, and charts stay two texels apart.
+    Changes nothing. Raises SceneError, naming the object and what to do.
     """
     warnings: list[str] = []
     objects = [obj for obj in receivers(context, objects, warnings) if obj not in at_vertices]
@@ -84,34 +89,32 @@ def atlas_steps(
         uvs, places = yield Work(
             lambda progress: lay_out(meshes, resolution, warnings, lambda part: progress(0.5 + 0.5 * part))
         )
-    for data, uv in zip(owners, uvs, strict=True):
-        write_layer(data, uv)
-    kept = set(objects)
+    planned = Snapshot()
     for obj in context.scene.objects:
-        if obj not in kept and "lightpanes_baked" in obj and obj.library is None:
-            for name in PLACE:
-                obj.pop(name, None)
-    for obj in objects:
-        scale, offset = places[obj.name]
-        obj["lightpanes_scale"], obj["lightpanes_offset"], obj["lightpanes_baked"] = scale, offset, 1.0
-        obj.pop(AT_VERTICES, None)
+        if "lightpanes_baked" in obj and obj.library is None:
+            planned.places[obj.session_uid] = {}
+    for (data, users), made, uv in zip(owners.items(), meshes, uvs, strict=True):
+        planned.layers[data.session_uid] = np.ascontiguousarray(uv, np.float32), len(made.corners)
+        for obj in users:
+            scale, offset = places[obj.name]
+            planned.meshes[obj.session_uid] = data.session_uid
+            planned.places[obj.session_uid] = {
+                "lightpanes_scale": list(scale), "lightpanes_offset": list(offset), "lightpanes_baked": 1.0
+            }  # fmt: skip
     for obj in at_vertices:
-        obj["lightpanes_baked"] = obj[AT_VERTICES] = 1.0
-    _warn_overlaps(context, owners, warnings)
-    return warnings
+        planned.hold(obj)
+        planned.places[obj.session_uid] = {"lightpanes_baked": 1.0, AT_VERTICES: 1.0}
+    return planned, warnings
 
 
 def _owners(objects) -> dict[bpy.types.Mesh, list]:
     """Objects by the mesh that they have."""
     users: dict[bpy.types.Mesh, list] = {}
     for obj in objects:
-        layers = obj.data.uv_layers
-        if LAYER not in layers and len(layers) >= 8:
-            raise SceneError(
-                f"'{obj.name}' has 8 UV layers, the most that Blender allows: delete one, or exclude the object."
-            )
-        if LAYER not in layers and LAYER in obj.data.attributes:
-            raise SceneError(f"'{obj.name}' has an attribute named '{LAYER}' that is not a UV layer: rename it.")
+        if refusals.has_no_layer_left(obj):
+            raise SceneError(refusals.no_layer_left(obj))
+        if refusals.has_foreign_attribute(obj):
+            raise SceneError(refusals.foreign_attribute(obj))
         users.setdefault(obj.data, []).append(obj)
     return users
 
@@ -198,63 +201,3 @@ def _unwrap(context, positions, corners, faces) -> np.ndarray:
             with context.temp_override(**override, edit_object=obj):
                 bpy.ops.object.mode_set(mode="OBJECT")
         return read_attribute(obj.data, LAYER, len(obj.data.loops), 2, "vector", np.float32).astype(np.float64)
-
-
-def write_layer(data: bpy.types.Mesh, uv: np.ndarray) -> None:
-    """Give the mesh our UV layer with these coordinates, (L, 2); the user's active ones stay active."""
-    layers = data.uv_layers
-    layer = layers.get(LAYER)
-    if layer is None:
-        active = layers.active.name if layers.active else None
-        render = next((other.name for other in layers if other.active_render), None)
-        layers.new(name=LAYER, do_init=False)
-        if active is not None:
-            layers.active = layers[active]
-            layers[render].active_render = True
-        layer = layers[LAYER]
-    layer.uv.foreach_set("vector", np.ascontiguousarray(uv, np.float32).ravel())
-    data.update()
-
-
-def remove_layer(data: bpy.types.Mesh) -> None:
-    """Take our UV layer off; the user's active ones stay active."""
-    layers = data.uv_layers
-    layer = layers.get(LAYER)
-    if layer is None:
-        return
-    active = layers.active.name if layers.active else None
-    render = next((other.name for other in layers if other.active_render), None)
-    layers.remove(layer)
-    if active in layers:
-        layers.active = layers[active]
-    if render in layers:
-        layers[render].active_render = True
-
-
-def _warn_overlaps(context, owners, warnings) -> None:
-    """Modifiers that copy faces copy their UVs: more UV area than the mesh has means shared texels."""
-    depsgraph = context.evaluated_depsgraph_get()
-    for data, users in owners.items():
-        own = _uv_area(data)
-        for obj in users:
-            suspects = [
-                modifier
-                for modifier in obj.modifiers
-                if modifier.type in DOUBLING and (modifier.show_viewport or modifier.show_render)
-            ]
-            if not suspects:
-                continue
-            evaluated = obj.evaluated_get(depsgraph).data
-            if LAYER in evaluated.uv_layers and _uv_area(evaluated) > 1.05 * own:
-                warnings.append(
-                    f"'{obj.name}': the modifier '{suspects[0].name}' puts several faces on the same texels, "
-                    "so they share their light: apply it."
-                )
-
-
-def _uv_area(data) -> float:
-    if not len(data.polygons):
-        return 0.0
-    uv = read_attribute(data, LAYER, len(data.loops), 2, "vector", np.float32)[loop_triangles(data)].astype(np.float64)
-    e, f = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
-    return float(np.abs(e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]).sum() / 2)

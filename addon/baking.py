@@ -6,8 +6,10 @@ back. While core works the scene is as it was before, so that whatever ends the 
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Callable, Generator
+from dataclasses import replace
 
 import bpy
 
@@ -15,9 +17,10 @@ from ..core.bake import Cancelled, Kept, Progress, Settings, bake
 from ..core.panes import Relighter
 from ..core.rays import Tracer
 from ..core.scene import SceneError
-from . import atlas, claims, extract, nodes, points, relight, store, twice, vertices
+from . import atlas, claims, environment, extract, nodes, points, relight, store, twice, vertices, waiting
 from .preflight import check as preflight
-from .snapshot import Snapshot
+from .snapshot import PLACE, Snapshot, remove_layer
+from .unfolded import Unfolded
 from .work import Work, mapped, run
 
 # Parts of the whole at which reading the scene, core's work, and building what is stored end.
@@ -41,6 +44,8 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
     """
     scene = context.scene
     start = time.perf_counter()
+    if waiting.renders():
+        raise SceneError("A render is running: wait until it is done.")
     warnings = preflight(context)
     asked = scene.lightpanes
     settings = Settings(
@@ -52,42 +57,49 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
     )
     yield Progress("Atlas", 0.0, 0)
     objects = [item for item in scene.objects if item.type == "MESH" and store.TAG not in item]
-    before = Snapshot(scene, objects)
-    loops: dict = {}
-    try:
+    with relight.paused():
+        at_vertices, told = vertices.choose(context, objects)
+    warnings += told
+    making = atlas.atlas_steps(context, objects, settings.resolution, at_vertices)
+    planned, told = yield from mapped(making, lambda part: Progress("Atlas", ATLAS * part, 0))
+    warnings += told
+    yield Progress("Reading the scene", ATLAS, 0)
+    # nothing of the atlas is in the scene until the new bake is: what is there shows by the old one, and files that are
+    # saved and steps that are undone meanwhile are those of a scene without a bake under way
+    unfolded = Unfolded(planned)
+    for item in objects:
         with relight.paused():
-            at_vertices, told = vertices.choose(context, objects)
-        warnings += told
-        making = atlas.atlas_steps(context, objects, settings.resolution, at_vertices)
-        warnings += yield from mapped(making, lambda part: Progress("Atlas", ATLAS * part, 0))
+            warnings += unfolded.read(context, item)
         yield Progress("Reading the scene", ATLAS, 0)
-        for item in objects:
-            # subdivision waits until somebody asks for the mesh
-            _ = item.evaluated_get(context.evaluated_depsgraph_get()).data
-            yield Progress("Reading the scene", ATLAS, 0)
-        with relight.paused():
-            surfaces = extract.extract(context, resolution=settings.resolution, loops=loops)
-        found = extract.fingerprint(context)
-        planned = Snapshot(scene, objects)
-    finally:
-        # what is there shows by the old atlas until the new bake is
-        before.restore()
+        # subdivision waits until somebody asks for the mesh
+        _ = item.evaluated_get(context.evaluated_depsgraph_get()).data
+        yield Progress("Reading the scene", ATLAS, 0)
+    loops: dict = {}
+    with relight.paused(), unfolded.laid(objects):
+        surfaces = extract.extract(context, resolution=settings.resolution, loops=loops, atlas=unfolded)
+    found, world = extract.fingerprint(context), environment.digest(scene.world)
 
     def work(progress):
         def told(now):
-            progress(Progress(now.stage, READ + (BAKED - READ) * now.fraction, now.rays, now.error, now.seconds_left))
+            # more follows here
+            if now.fraction < 1:
+                share = READ + (BAKED - READ) * now.fraction
+                progress(Progress(now.stage, share, now.rays, now.error, now.seconds_left))
 
         result = bake(surfaces, settings, told, kept, time.perf_counter() - start)
+        # what is kept stays as it is
+        result = replace(result, meta=copy.deepcopy(result.meta))
         points.remember(result, surfaces)
         return result, Relighter(result.panes(), Tracer(surfaces)), store.key_of(result)
 
-    del scene, asked, objects, at_vertices
+    del scene, asked, objects, at_vertices, making, unfolded
     result, relighter, key = yield Work(work, alone=True)
     scene = context.scene
     report = result.meta["report"]
     yield Progress("Storing", BAKED, report["rays"])
     report["warnings"] = warnings + [w for w in report.get("warnings", []) if w not in warnings]
     result.meta["static"] = {lamp.name: relight.lamp_key([lamp]) for lamp in surfaces.lights if not lamp.live}
+    result.meta["world"] = world
     _refuse_edited(planned)
     built = yield from mapped(
         store.build_steps(result, surfaces.albedo_map, key),
@@ -96,8 +108,9 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
     try:
         yield Progress("Storing", STORED, report["rays"])
         _refuse_edited(planned)
-        # again: undo may have brought back an older one
-        before = Snapshot(scene, [item for item in scene.objects if item.type == "MESH" and store.TAG not in item])
+        now = extract.fingerprint(context)
+        # undo may have brought back an older one
+        before = Snapshot.of(scene, [item for item in scene.objects if item.type == "MESH" and store.TAG not in item])
         try:
             with relight.paused():
                 planned.restore()
@@ -108,6 +121,8 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
     except BaseException:
         store.discard(built)
         raise
+    if kept is not None:
+        kept.clear()
     with relight.paused():
         vertices.keep(context, surfaces, loops)
         claims.claim(scene)
@@ -115,11 +130,11 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
     ending = _Ending(report["rays"])
     yield from ending.turn(0.985)
     with relight.paused():
-        now = extract.fingerprint(context)
         report["warnings"] += nodes.attach(context, surfaces)
         # after attaching, which may give materials to objects that have none; but what changed meanwhile is stale
-        late = {name: found.get(name, "") for name in extract.changed_objects(found, now) if name in found}
-        result.meta["fingerprint"] = extract.fingerprint(context) | late
+        late = set(extract.changed_objects(found, now))
+        seen = extract.fingerprint(context)
+        result.meta["fingerprint"] = {name: was if name in late else seen.get(name, was) for name, was in found.items()}
         store.write_meta(scene, result.meta)
     yield from ending.turn(0.99)
     report["relight_ms"] = round(relight.relight(context), 2)
@@ -132,9 +147,8 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
 
 
 def _refuse_edited(planned: Snapshot) -> None:
-    edited = planned.edited()
-    if edited:
-        raise SceneError(f"Mesh '{edited[0]}' was edited while the bake ran: bake again.")
+    if reason := planned.edited():
+        raise SceneError(f"{reason}: bake again.")
 
 
 class _Ending:
@@ -172,11 +186,11 @@ def _clear_atlas(scene):
     }
     for item in mine - elsewhere:
         if item.library is None:
-            for key in atlas.PLACE:
+            for key in PLACE:
                 if key in item:
                     del item[key]
     vertices.drop()
     kept = {item.data for item in bpy.data.objects if "lightpanes_baked" in item}
     for mesh in {item.data for item in mine if item.type == "MESH"} - kept:
         if mesh.library is None:
-            atlas.remove_layer(mesh)
+            remove_layer(mesh)

@@ -19,6 +19,7 @@ from pathlib import Path
 import bpy
 
 from ..core.bake import BakeError
+from ..core.files import replacing
 from ..core.planner import EXITS
 from ..core.rays import EngineError
 from ..core.scene import SceneError
@@ -201,7 +202,6 @@ def _info(options) -> int:
     if meta is None:
         raise UserError(f"'{path.name}' has no bake in scene '{scene.name}'; bake it first.")
     stale = list(relight.check_stale(bpy.context))
-    picture = _draw_points(options, path) if options.points else None
     report = {**context_of(path), "settings": _settings(scene.lightpanes), **meta.get("report", {}), "stale": stale}
     _say(options, operators.summary(report))
     for key, value in report.items():
@@ -209,10 +209,13 @@ def _info(options) -> int:
             _say(options, f"  {key}: {value}")
     for sentence in stale + report.get("warnings", []):
         _say(options, f"  Warning: {sentence}")
-    if picture is not None:
-        report["picture"] = str(picture)
-        _say(options, f"Wrote {picture}")
-    _write_report(options, report)
+    try:
+        if options.points:
+            report["picture"] = str(_draw_points(options, path))
+            _say(options, f"Wrote {report['picture']}")
+    finally:
+        # where there are no points to draw, the rest is of use all the same
+        _write_report(options, report)
     return OK
 
 
@@ -306,15 +309,12 @@ def _target(options, path: Path, suffix: str) -> Path:
 
 def _replacing(target: Path, write: Callable[[Path], object]) -> None:
     """Write under a temporary name beside `target`, then put it in place at once."""
-    temporary = target.with_name(f".{target.stem}-{os.getpid()}{target.suffix}")
     try:
-        write(temporary)
-        os.replace(temporary, target)
+        with replacing(target) as temporary:
+            write(temporary)
     except (OSError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or _first_line(error)
         raise UserError(f"Can't write '{target}': {reason}.") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def save_blend(target: Path) -> None:

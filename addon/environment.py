@@ -6,10 +6,14 @@ unwrapped as an equirectangular map yields it in world space; it leaves the user
 
 from __future__ import annotations
 
+import hashlib
+
 import bpy
 import numpy as np
 
 from ..core.scene import Sky
+from . import cycles
+from .materials import digest_tree
 
 WIDTH, HEIGHT = 256, 128
 FINE = 4
@@ -53,29 +57,66 @@ def constant(socket) -> np.ndarray | None:
 
 def read(world: bpy.types.World, warnings: list[str]) -> Sky | None:
     """The world's radiance, None where it is black."""
-    tree = world.node_tree
-    # from 5.0 on nodes count whenever they exist
-    if tree is None or (bpy.app.version < (5, 0) and not world.use_nodes):
-        return _sky(np.array(world.color, np.float32).reshape(1, 1, 3))
-    output = tree.get_output_node("CYCLES")
-    if output is None:
-        return None
-    if output.inputs["Volume"].is_linked:
+    if _has_volume(world):
         warnings.append(f"World '{world.name}' has a volume, which is not honoured: light passes the air freely.")
-    source = linked_node(output.inputs["Surface"])
-    if source is None:
-        return None
-    if source.type == "BACKGROUND" and not source.mute:
-        color, strength = constant(source.inputs["Color"]), constant(source.inputs["Strength"])
-        if strength is not None and strength == 0:
-            return None
-        if color is not None and strength is not None:
-            return _sky((color * strength).reshape(1, 1, 3))
+    color = plain(world)
+    if color is not None:
+        return _sky(color.astype(np.float32).reshape(1, 1, 3))
     try:
         return _sky(_evaluate(world, warnings))
     except RuntimeError as error:
         warnings.append(f"World '{world.name}' could not be evaluated and gives no light: {error}")
         return None
+
+
+def lights_surfaces(world: bpy.types.World | None) -> bool:
+    """Whether the world is one that diffuse surfaces see at all."""
+    # without Cycles there is no setting, and every world is
+    rays = getattr(world, "cycles_visibility", None)
+    return world is not None and (rays is None or rays.diffuse)
+
+
+def digest(world: bpy.types.World | None) -> str:
+    """Short hash of the light that the world gives, for telling whether a bake is stale."""
+    result = hashlib.blake2b(digest_size=8)
+    if lights_surfaces(world):
+        color = plain(world)
+        if color is not None:
+            result.update(color.astype(np.float32).tobytes())
+        else:
+            digest_tree(world.node_tree, result)
+    return result.hexdigest()
+
+
+def _output(world):
+    """The node that Cycles shows a world by; None where it has no nodes, or none that counts."""
+    # from 5.0 on nodes count whenever they exist
+    if world.node_tree is None or (bpy.app.version < (5, 0) and not world.use_nodes):
+        return None
+    return world.node_tree.get_output_node("CYCLES")
+
+
+def _has_volume(world) -> bool:
+    output = _output(world)
+    return output is not None and output.inputs["Volume"].is_linked
+
+
+def plain(world: bpy.types.World) -> np.ndarray | None:
+    """(3,) radiance of a world of one colour, None where it varies."""
+    output = _output(world)
+    if output is None:
+        uses_nodes = world.node_tree is not None and (bpy.app.version >= (5, 0) or world.use_nodes)
+        return np.zeros(3) if uses_nodes else np.array(world.color, np.float64)
+    source = linked_node(output.inputs["Surface"])
+    if source is None:
+        return np.zeros(3)
+    if source.type == "BACKGROUND" and not source.mute:
+        color, strength = constant(source.inputs["Color"]), constant(source.inputs["Strength"])
+        if strength is not None and strength == 0:
+            return np.zeros(3)
+        if color is not None and strength is not None:
+            return np.asarray(color * strength, np.float64)
+    return None
 
 
 def _sky(radiance) -> Sky | None:
@@ -85,6 +126,7 @@ def _sky(radiance) -> Sky | None:
 
 def _evaluate(world, warnings) -> np.ndarray:
     """(HEIGHT, WIDTH, 3) float32 mean radiance of each texel as diffuse rays see it."""
+    cycles.require(f"World '{world.name}' is not of one colour and needs")
     view = world.copy()
     try:
         _see_as_diffuse_ray(view.node_tree)

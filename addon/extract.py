@@ -9,8 +9,10 @@ import bpy
 import numpy as np
 
 from ..core.scene import Scene, SceneError, SceneObject
-from . import lamps, materials, visibility
+from . import lamps, materials, refusals, visibility
 from .meshes import AT_VERTICES, LAYER, Faces, are_numbers, read_attribute, read_faces, weight_of
+from .snapshot import rectangle
+from .unfolded import Unfolded
 
 GEOMETRY = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 NOT_TRACED = {"VOLUME": "a volume", "CURVES": "hair", "POINTCLOUD": "a point cloud", "GREASEPENCIL": "Grease Pencil"}
@@ -38,6 +40,7 @@ def extract(
     albedo: bool = True,
     looks: bool = True,
     loops: dict[str, np.ndarray] | None = None,
+    atlas: Unfolded | None = None,
 ) -> Scene:
     """Read the scene as a render would show it.
 
@@ -45,12 +48,13 @@ def extract(
     vary over a surface; without it they are their mean where that can be read and grey elsewhere,
     enough for shadow rays. looks: without them materials are not read at all, and only the shapes are right.
     loops: filled with the mesh's loops (T, 3) of the scene's triangles, for each object that is lit at its vertices,
-    by name. Raises SceneError, naming the object and what to do.
+    by name. atlas: the one that objects are to have, None for that which they have. Raises SceneError, naming the object
+    and what to do.
     """
     warnings: list[str] = []
     albedo = albedo and looks
     with visibility.as_rendered(context) as depsgraph:
-        found = _read_parts(context, depsgraph, warnings)
+        found = _read_parts(context, depsgraph, warnings, atlas)
         lights = lamps.read_lights(depsgraph, warnings)
         # a textured world is evaluated by a render, which shadow rays at a relight have no use for
         sky = lamps.read_sky(context.scene.world, warnings) if albedo and context.scene.world else None
@@ -77,7 +81,7 @@ def extract(
             {item.name: _loops(scene, k, parts[k], starts[k]) for k, item in enumerate(objects) if item.at_vertices}
         )
     if looks:
-        materials.read_materials(context, scene, used, sources, resolution, bake=albedo)
+        materials.read_materials(context, scene, used, sources, resolution, bake=albedo, atlas=atlas)
     scene.warnings[:] = dict.fromkeys(scene.warnings)
     return scene
 
@@ -91,7 +95,7 @@ def _loops(scene, index, part, start):
     return part.loops[np.isin(part.triangles @ base, kept @ base)]
 
 
-def _read_parts(context, depsgraph, warnings):
+def _read_parts(context, depsgraph, warnings, atlas):
     """All that renders: parts, their SceneObjects, their Blender objects, and the materials in use."""
     rendered = visibility.rendered_objects(context.view_layer)
     members: dict[bpy.types.Object, set] = {}
@@ -119,9 +123,22 @@ def _read_parts(context, depsgraph, warnings):
         _check(faces, instance.matrix_world, name)
         slots = _slot_materials(obj, faces, override)
         lookup = np.array([index.setdefault(slot, len(index)) for slot in slots], np.int32)
-        receives = _receives(instance, original, faces, warnings)
-        at_vertices = receives and AT_VERTICES in original
-        parts.append(_place(faces, instance.matrix_world, original if receives else None, lookup, at_vertices))
+        # where it is in the atlas: custom properties, or what they are to be
+        place = original if atlas is None else atlas.place(original)
+        takes = _takes_light(instance, original, place, warnings)
+        at_vertices = takes and AT_VERTICES in place
+        uv = None
+        if takes and not at_vertices:
+            uv = faces.uv if atlas is None else atlas.uv(original, faces.uv, faces.loops, faces.corners)
+            if uv is None:
+                warnings.append(
+                    f"'{name}' loses its UV layer '{LAYER}' in a modifier, so it receives no light: apply the modifier."
+                )
+        receives = at_vertices or uv is not None
+        if uv is not None:
+            scale, offset = rectangle(place)
+            uv = uv * scale + offset
+        parts.append(_place(faces, instance.matrix_world, uv, lookup, at_vertices))
         objects.append(
             SceneObject(
                 name,
@@ -204,7 +221,7 @@ def _faces(obj, cache, original, warnings) -> Faces | None:
     key = obj.data.as_pointer()
     if key not in cache:
         # in Edit Mode the evaluated mesh is a wrapper without arrays; to_mesh fills them
-        editing = original.mode == "EDIT"
+        editing = original.data.is_editmode
         mesh = obj.to_mesh() if editing else obj.data
         cache[key] = read_faces(mesh) if mesh is not None else None
         if editing:
@@ -232,8 +249,8 @@ def _slot_materials(obj, faces, override) -> list:
     return [slots[min(i, len(slots) - 1)] for i in range(count)]
 
 
-def _receives(instance, original, faces, warnings) -> bool:
-    """Whether the object takes light: at its vertices, or in texels, where its layer survived its modifiers."""
+def _takes_light(instance, original, place, warnings) -> bool:
+    """Whether the object, itself or through an instance, has a place for light."""
     name = original.name
     if getattr(getattr(original, "lightpanes", None), "exclude", False):
         return False
@@ -243,25 +260,13 @@ def _receives(instance, original, faces, warnings) -> bool:
                 f"'{name}' is not a mesh: it blocks and reflects light but receives none. Use Object > Convert > Mesh."
             )
         else:
-            owner = instance.parent.original.name
-            warnings.append(
-                f"Instances made by '{owner}' block and reflect light but receive none. Use Object > Apply > Make Instances Real."
-            )
+            warnings.append(refusals.instances(instance.parent.original))
         return False
-    if not original.get("lightpanes_baked", 0.0):
-        return False
-    if AT_VERTICES in original:
-        return True
-    if faces.uv is None:
-        warnings.append(
-            f"'{name}' loses its UV layer '{LAYER}' in a modifier, so it receives no light: apply the modifier."
-        )
-        return False
-    return True
+    return bool(place.get("lightpanes_baked", 0.0))
 
 
-def _place(faces: Faces, matrix, receiver, lookup, at_vertices) -> _Part:
-    """Faces in world space; a mirroring matrix turns the winding, so that geometric normals stay outside."""
+def _place(faces: Faces, matrix, uv, lookup, at_vertices) -> _Part:
+    """Faces in world space, with their atlas coordinates if they have some; a mirroring matrix turns the winding, so that geometric normals stay outside."""
     world = np.array(matrix, np.float64)
     linear = world[:3, :3]
     mirrored = np.linalg.det(linear) < 0
@@ -269,11 +274,9 @@ def _place(faces: Faces, matrix, receiver, lookup, at_vertices) -> _Part:
     cofactors = np.stack([np.cross(linear[(i + 1) % 3], linear[(i + 2) % 3]) for i in range(3)])
     positions = (faces.positions @ linear.T + world[:3, 3]).astype(np.float32)
     normals = faces.normals @ (cofactors * (-1.0 if mirrored else 1.0)).T
-    triangles, loops, uv = faces.triangles.copy(), faces.loops, np.full((*faces.triangles.shape, 2), np.nan, np.float32)
-    if receiver is not None and not at_vertices:
-        scale = np.array(receiver.get("lightpanes_scale", (1.0, 1.0)), np.float32)
-        offset = np.array(receiver.get("lightpanes_offset", (0.0, 0.0)), np.float32)
-        uv = faces.uv * scale + offset
+    triangles, loops = faces.triangles.copy(), faces.loops
+    if uv is None:
+        uv = np.full((*triangles.shape, 2), np.nan, np.float32)
     if mirrored:
         triangles, normals, uv = triangles[:, ::-1].copy(), normals[:, ::-1], uv[:, ::-1]
         loops = loops[:, ::-1]
@@ -291,16 +294,21 @@ def _place(faces: Faces, matrix, receiver, lookup, at_vertices) -> _Part:
 def fingerprint(context: bpy.types.Context) -> dict[str, str]:
     """Object name → short hash of its geometry, transform and materials, instances it makes included.
 
-    Of all that renders. An object that the viewport hides cannot be read cheaply: its value is "".
+    Of all that renders. An object that the viewport hides cannot be read cheaply, and one in Edit Mode not before it
+    leaves that: its value is "".
     """
     rendered = visibility.rendered_objects(context.view_layer)
     hashes = {obj.name: None for obj in rendered if obj.type in GEOMETRY}
+    edited: set[str] = set()
     meshes: dict[int, bytes] = {}
     looks: dict[bpy.types.Material, bytes] = {}
     for instance in context.evaluated_depsgraph_get().object_instances:
         obj = instance.object
         owner = (instance.parent if instance.is_instance else obj).original
         if obj.type != "MESH" or owner not in rendered:
+            continue
+        if obj.original.data.is_editmode:
+            edited.add(owner.name)
             continue
         digest = hashes.get(owner.name) or hashlib.blake2b(digest_size=8)
         hashes[owner.name] = digest
@@ -313,7 +321,7 @@ def fingerprint(context: bpy.types.Context) -> dict[str, str]:
             if slot.material is not None and slot.material.original not in looks:
                 looks[slot.material.original] = materials.digest(slot.material.original)
             digest.update(looks[slot.material.original] if slot.material else b"-")
-    return {name: digest.hexdigest() if digest else "" for name, digest in hashes.items()}
+    return {name: digest.hexdigest() if digest and name not in edited else "" for name, digest in hashes.items()}
 
 
 def changed_objects(before: dict[str, str], after: dict[str, str]) -> list[str]:

@@ -39,12 +39,15 @@ class LIGHTPANES_OT_fix(bpy.types.Operator):
             self.report({"INFO"}, "Nothing is left to fix here")
             return {"CANCELLED"}
         try:
-            FIXES[self.kind](context, obstacle)
+            left = FIXES[self.kind](context, obstacle) or []
         except SceneError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         finally:
             preflight.forget()
+        for sentence in left:
+            self.report({"WARNING"}, sentence)
+        # what was mended can be undone only by an operator that has finished
         return {"FINISHED"}
 
 
@@ -57,8 +60,22 @@ def _find(context, kind, target) -> Obstacle | None:
 
 
 def _objects(context, obstacle) -> list[bpy.types.Object]:
-    names = set(obstacle.names)
-    return [item for item in context.scene.objects if item.name in names]
+    uids = {uid for _, uid in obstacle.about}
+    return [item for item in context.scene.objects if item.session_uid in uids]
+
+
+def _each(items: Iterable, mend: Callable) -> list[str]:
+    """Mend one object after the other; returns what is to be said of those for which that raised a SceneError. Where
+    none could be mended, and so nothing has changed, raises the first."""
+    items, left = list(items), []
+    for item in items:
+        try:
+            mend(item)
+        except SceneError as error:
+            left.append(error)
+    if left and len(left) == len(items):
+        raise left[0]
+    return [str(error) for error in left]
 
 
 def _editable(items: Iterable) -> list[bpy.types.Object]:
@@ -134,7 +151,7 @@ def _exits(context, _obstacle):
 
 def _light(context, obstacle):
     """Show the lamps that there are, or add one in the middle of all that renders."""
-    if obstacle.names:
+    if obstacle.about:
         _show(context, obstacle)
         return
     middle, extent = _bounds(context)
@@ -167,9 +184,11 @@ def _bounds(context) -> tuple[Vector, float]:
 
 
 def _convert(context, obstacle):
-    for item in _objects(context, obstacle):
+    def convert(item):
         with _alone(context, item):
             bpy.ops.object.convert(target="MESH")
+
+    return _each(_objects(context, obstacle), convert)
 
 
 def _make_real(context, obstacle):
@@ -206,14 +225,18 @@ def _alone(context, item):
 
 
 def _make_local(context, obstacle):
-    for item in _objects(context, obstacle):
+    def make(item):
         if item.library is not None:
-            item = item.make_local()
+            local = item.make_local()
+            if local is None or local.library is not None:
+                raise SceneError(
+                    f"'{item.name}' is in a linked collection: use Object > Library Override > Make first."
+                )
+            item = local
         if item.data.library is not None:
             item.data = item.data.copy()
-    left = [item.name for item in _objects(context, obstacle) if item.library is not None]
-    if left:
-        raise SceneError(f"'{left[0]}' is in a linked collection: use Object > Library Override > Make first.")
+
+    return _each(_objects(context, obstacle), make)
 
 
 def _foreign_light(context, _obstacle):
@@ -232,6 +255,10 @@ def _single_user(context, obstacle):
 
 def _world_light(context, _obstacle):
     world_light.hide(context.scene.world)
+
+
+def _world_outdated(context, _obstacle):
+    world_light.follow(context.scene.world)
 
 
 def _fast_gi(context, _obstacle):
@@ -257,7 +284,8 @@ def _cycles_fast_gi(context, _obstacle):
     former.change(context.scene, "cycles.use_fast_gi", False)
 
 
-FIXES: dict[str, Callable[[bpy.types.Context, Obstacle], None]] = {
+# Each returns what it could not mend, if anything; it raises SceneError only where it has changed nothing.
+FIXES: dict[str, Callable[[bpy.types.Context, Obstacle], list[str] | None]] = {
     "ALL_HIDDEN": _show,
     "ALL_EXCLUDED": _include,
     "EDIT_MODE": _object_mode,
@@ -275,6 +303,7 @@ FIXES: dict[str, Callable[[bpy.types.Context, Obstacle], None]] = {
     "SHARED_MESH": _single_user,
     "LIGHT_ATTRIBUTE": _rename_light,
     "WORLD_LIGHT": _world_light,
+    "WORLD_OUTDATED": _world_outdated,
     "FAST_GI": _fast_gi,
     "LIGHT_PROBES": _probes,
     "CYCLES_BOUNCES": _cycles_bounces,
@@ -301,6 +330,7 @@ HELP = {
     "LIGHT_ATTRIBUTE": "Give the attribute another name, which nodes that use it then need too",
     "WORLD_LIGHT": "EEVEE shows the world where the camera sees it and lights and reflects nothing with it. "
     "Clear takes that back",
+    "WORLD_OUTDATED": "Let EEVEE show the camera what the world's own output shows now",
     "FAST_GI": "Ray tracing goes on for reflections, and diffuse surfaces get ambient occlusion only. "
     "Clear gives the settings back",
     "LIGHT_PROBES": "Hide the volume probes from renders and viewports. Clear shows them again",

@@ -17,7 +17,7 @@ import bpy
 
 from ..core.bake.stored import DENSER
 from ..core.planner import Budget, Settings, needs_panes, plan, uses_points
-from ..core.rays import thread_count
+from ..core.threads import thread_count
 from . import store
 from .obstacles import Facts
 

@@ -6,6 +6,7 @@ with it.
 
 from __future__ import annotations
 
+import contextlib
 import json
 
 import bpy
@@ -28,8 +29,10 @@ def give_back(scene: bpy.types.Scene) -> None:
     """Undo all that `change` did to the scene and its objects, but for what the user has changed again since."""
     for owner in _owners(scene):
         for path, (was, ours) in _memory(owner).items():
-            if owner.path_resolve(path) == ours:
-                _set(owner, path, was)
+            # settings of an add-on that is switched off are not there
+            with contextlib.suppress(ValueError):
+                if owner.path_resolve(path) == ours:
+                    _set(owner, path, was)
         del owner[KEY]
 
 

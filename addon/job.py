@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import threading
 import time
+import traceback
 from collections.abc import Generator
 
 import bpy
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.bake import Cancelled, Kept, Progress
 from ..core.scene import SceneError
-from . import figures, handlers
+from . import figures, handlers, waiting
+from .unfolded import CHANGED
 from .work import Work
 
 SLICE = 0.03
@@ -27,15 +30,19 @@ class _Thread(threading.Thread):
 
     def __init__(self, work: Work, job: Job):
         super().__init__(name="Lightpanes", daemon=True)
-        self.work, self.job = work, job
+        self.run_work, self.alone, self.job = work.run, work.alone, job
         self.result: object = None
         self.error: BaseException | None = None
 
     def run(self) -> None:
         try:
-            self.result = self.work.run(self._told)
+            self.result = self.run_work(self._told)
         except BaseException as error:
             self.error = error
+        # with what it was made of
+        del self.run_work
+        if self.job.ended:
+            self.result = None
 
     def _told(self, progress: Progress) -> None:
         if self.job.ended:
@@ -46,8 +53,8 @@ class _Thread(threading.Thread):
 class Job:
     """Drives the steps of one bake.
 
-    Read `progress` at any time; call `advance` again and again on the main thread until it returns True, then read
-    `report`, or `error`: what the user must know, empty after a cancel.
+    Read `progress` and `waiting`, what it waits for, at any time; call `advance` again and again on the main thread until
+    it returns True, then read `report`, or `error`: what the user must know, empty after a cancel.
     """
 
     def __init__(self, scene: bpy.types.Scene, steps: Generator, after: threading.Thread | None = None):
@@ -55,6 +62,7 @@ class Job:
         self.steps = steps
         self.began = time.perf_counter()
         self.progress = Progress("Waiting for the cancelled bake" if after else "Atlas", 0.0, 0)
+        self.waiting = ""
         self.ended = False
         self.report: dict | None = None
         self.error = ""
@@ -64,11 +72,14 @@ class Job:
         """Do what is to be done on the main thread for a moment; True once the bake has ended."""
         if self.ended:
             return True
-        if self._after is not None and self._after.is_alive():
+        if self.thread is not None:
+            return False
+        self._after = None
+        # a mode or a render may begin while core works, and between any two steps
+        self.waiting = waiting.reason()
+        if self.waiting:
             return False
         if self._thread is not None:
-            if self._thread.is_alive():
-                return False
             thread, self._thread = self._thread, None
             if thread.error is not None:
                 self._fail(thread.error)
@@ -86,7 +97,7 @@ class Job:
             with self._in_its_scene():
                 step = self.steps.send(answer)
         except StopIteration as end:
-            self.report, self.ended = end.value, True
+            self._finish(end.value)
         except BaseException as error:
             self._end(error)
         else:
@@ -100,28 +111,42 @@ class Job:
         """End it now; what was there before stays. Where the new bake is in place already, it is finished."""
         if not self.ended:
             self._fail(Cancelled())
+        while not self.ended and self._thread is None:
+            self._step()
 
     def _fail(self, error: BaseException) -> None:
-        """Let the steps put back what they changed; those that say that it is too late for that go on."""
+        """Let the steps know; those that say that it is too late go on."""
         try:
             with self._in_its_scene():
                 self.progress = self.steps.throw(error)
         except StopIteration as end:
-            self.report, self.ended = end.value, True
+            self._finish(end.value)
         except BaseException as raised:
             self._end(raised)
 
+    def _finish(self, report: dict | None) -> None:
+        self.report, self.ended, self.waiting = report, True, ""
+        self._answer = None
+        if self._thread is not None:
+            # one that still runs lets go by itself
+            self._thread.result = None
+            self._thread = self._thread if self._thread.is_alive() else None
+
     def _end(self, error: BaseException) -> None:
-        self.ended = True
+        # it may not have heard of the error: steps that can't begin are not asked
+        self.steps.close()
+        self._finish(None)
         if isinstance(error, (Cancelled, GeneratorExit)):
             return
         if isinstance(error, ReferenceError):
             # an object that was being read has been deleted
-            self.error = "The scene changed while it was read: bake again."
+            self.error = CHANGED
         elif isinstance(error, (SceneError, MemoryError)):
             self.error = str(error) or "There is not enough memory: lower Resolution."
-        else:
+        elif isinstance(error, Exception):
             self.error = f"The bake failed ({type(error).__name__}: {error})."
+            traceback.print_exception(error)
+        else:
             raise error
 
     def _in_its_scene(self):
@@ -134,9 +159,16 @@ class Job:
         return bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0])
 
     @property
+    def says(self) -> str:
+        """What it does and how far it is, or what it waits for, in the user's language."""
+        if self.waiting:
+            return iface_(self.waiting)
+        return f"{iface_(self.progress.stage)}  {100 * self.progress.fraction:.0f} %"
+
+    @property
     def alone(self) -> bool:
         """Whether the bake holds nothing of Blender's just now."""
-        return self._thread is not None and self._thread.work.alone
+        return self._thread is not None and self._thread.alone
 
     @property
     def thread(self) -> threading.Thread | None:
@@ -183,12 +215,18 @@ def cancel() -> None:
         _current.cancel()
 
 
+def forget() -> None:
+    """Let go of what cancelled bakes had finished. A thread that has yet to notice its end fills its own."""
+    global _kept
+    _kept = Kept()
+
+
 def draw(layout: bpy.types.UILayout, _context: bpy.types.Context) -> None:
     """The bar with the stage, what is known so far, and Cancel."""
     progress = _current.progress
     row = layout.row(align=True)
     row.scale_y = 1.4
-    row.progress(factor=progress.fraction, type="BAR", text=f"{progress.stage}  {100 * progress.fraction:.0f} %")
+    row.progress(factor=progress.fraction, type="BAR", text=_current.says)
     row.operator("lightpanes.cancel", text="", icon="X")
     known = facts(progress)
     if known:
@@ -210,6 +248,7 @@ def facts(progress: Progress) -> str:
 @persistent
 def _on_load(*_):
     cancel()
+    forget()
 
 
 @persistent
@@ -228,4 +267,5 @@ def register() -> None:
 
 def unregister() -> None:
     cancel()
+    forget()
     handlers.remove(HANDLERS)

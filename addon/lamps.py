@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 
 from ..core.scene import Light, SceneError, Sky
-from . import environment, groups, visibility
+from . import cycles, environment, groups, visibility
 
 BOUNCES = 8
 """A lamp whose light ends after fewer bounces gets a warning: panes hold all bounces."""
@@ -52,24 +52,12 @@ def read_lights(depsgraph: bpy.types.Depsgraph, warnings: list[str]) -> tuple[Li
     return tuple(light for light in lights if light is not None)
 
 
-def read_light(obj: bpy.types.Object, matrix_world, scene: bpy.types.Scene | None = None) -> Light:
-    """One lamp object with the given (4, 4) world matrix. Raises SceneError if it isn't a lamp that shines."""
-    light = None
-    if obj.type == "LIGHT":
-        light = _read(obj, np.array(matrix_world, np.float64), scene, [], obj.name)
-    if light is None:
-        raise SceneError(f"'{obj.name}' is not a lamp that shines; give it energy and a size.")
-    return light
-
-
 def read_sky(world: bpy.types.World | None, warnings: list[str]) -> Sky | None:
     """The world's light; None where it is black or kept from diffuse surfaces.
 
     A constant background becomes one texel, everything else a map that Cycles evaluates.
     """
-    if world is None or not world.cycles_visibility.diffuse:
-        return None
-    return environment.read(world, warnings)
+    return environment.read(world, warnings) if environment.lights_surfaces(world) else None
 
 
 def _is_pattern(obj) -> bool:
@@ -80,7 +68,7 @@ def _is_pattern(obj) -> bool:
 def _shines(obj) -> bool:
     """Whether diffuse surfaces get light from the lamp at all; portals only guide the sky's rays."""
     # Cycles' settings from the original: changes to them do not reach evaluated copies by themselves
-    portal = obj.data.type == "AREA" and obj.data.original.cycles.is_portal
+    portal = obj.data.type == "AREA" and cycles.setting(obj.data.original, "is_portal", False)
     return obj.visible_diffuse and not obj.hide_render and not portal and obj.data.energy != 0
 
 
@@ -172,8 +160,8 @@ def _warn(obj, scene, frame, warnings, name) -> None:
     linking = obj.light_linking
     if linking.receiver_collection is not None or linking.blocker_collection is not None:
         warnings.append(f"Lamp '{name}' uses light linking, which is not honoured: it lights and shadows all objects.")
-    limit = min(BOUNCES, scene.cycles.max_bounces) if scene is not None else BOUNCES
-    bounces = obj.data.original.cycles.max_bounces
+    limit = min(BOUNCES, cycles.setting(scene, "max_bounces", BOUNCES))
+    bounces = cycles.setting(obj.data.original, "max_bounces", limit)
     if bounces < limit:
         warnings.append(f"Lamp '{name}' limits its bounces to {bounces}, which is not honoured: all count.")
     skew = np.abs(frame[:3, :3].T @ frame[:3, :3] - np.eye(3)).max()

@@ -12,9 +12,11 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from ..core.scene import Scene, SceneError
-from . import materials
-from .meshes import LAYER, read_attribute
+from ..core.scene import Scene
+from . import cycles, materials
+from .meshes import LAYER
+from .snapshot import read_layer, rectangle, write_layer
+from .unfolded import Unfolded
 from .visibility import rendered_objects
 
 DILATION = 2  # texels that colours spread past a chart, so that filtering at its edge reads them
@@ -22,7 +24,9 @@ SWATCH = 16  # texels a side of the square that gives a material's mean where it
 MEAN_SAMPLES = 1 << 16  # points at which a map is read for its mean
 
 
-def bake_maps(context, scene: Scene, used, sources, looks, wanted: set[str], resolution: int) -> None:
+def bake_maps(
+    context, scene: Scene, used, sources, looks, wanted: set[str], resolution: int, atlas: Unfolded | None
+) -> None:
     """Bake the wanted maps ("albedo", "emission", "transmission") into `scene` and set mapped materials' means.
 
     Arguments as of `materials.read_materials`; looks: `materials.Look` for each material.
@@ -36,7 +40,7 @@ def bake_maps(context, scene: Scene, used, sources, looks, wanted: set[str], res
         k for k in np.unique(scene.triangle_material[triangles]) if not (placed & (scene.triangle_material == k)).any()
     ]
     with _Studio(context) as studio:
-        objects = [studio.add(obj, resolution) for obj in targets]
+        objects = [studio.add(obj, atlas) for obj in targets]
         swatches = [studio.add_swatch(used[k]) for k in unplaced]
         for kind in ("albedo", "emission", "transmission"):
             if kind not in wanted:
@@ -88,14 +92,9 @@ class _Studio:
         self.copies: dict[bpy.types.Material | None, bpy.types.Material] = {}
 
     def __enter__(self):
+        cycles.require("Textured materials need")
         self.scene = bpy.data.scenes.new("Lightpanes Maps")
-        try:
-            self.scene.render.engine = "CYCLES"
-        except TypeError as error:
-            bpy.data.scenes.remove(self.scene)
-            raise SceneError(
-                "Textured materials need Cycles: turn on the add-on Cycles Render Engine in Preferences."
-            ) from error
+        self.scene.render.engine = "CYCLES"
         self.scene.cycles.device = "CPU"
         self.scene.cycles.samples = 1
         self.scene.cycles.use_denoising = False
@@ -109,18 +108,16 @@ class _Studio:
     def __exit__(self, *_):
         bpy.data.batch_remove(self.made)
 
-    def add(self, obj, resolution) -> bpy.types.Object:
+    def add(self, obj, atlas) -> bpy.types.Object:
         """A copy of the object whose UV layer is in the atlas, with copies of its materials."""
         mesh = obj.data.copy()
         copy = obj.copy()
         self.made += [mesh, copy]
         copy.data = mesh
         copy.hide_render = copy.hide_viewport = False
-        uv = read_attribute(mesh, LAYER, len(mesh.loops), 2, "vector", np.float32)
-        uv = uv * np.array(obj.get("lightpanes_scale", (1, 1)), np.float32) + np.array(
-            obj.get("lightpanes_offset", (0, 0)), np.float32
-        )
-        mesh.uv_layers[LAYER].uv.foreach_set("vector", np.ascontiguousarray(uv, np.float32).ravel())
+        uv, place = (read_layer(mesh), obj) if atlas is None else (atlas.layer(obj), atlas.place(obj))
+        scale, offset = rectangle(place)
+        write_layer(mesh, uv * scale + offset)
         override = self.context.view_layer.material_override
         if not mesh.materials:
             mesh.materials.append(None)

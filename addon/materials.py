@@ -18,6 +18,7 @@ import bpy
 import numpy as np
 
 from ..core.scene import Material, Scene
+from .unfolded import Unfolded
 
 PLACEHOLDER = Material("Unread")
 EMPTY_SLOT = Material("No material", albedo=(0.8, 0.8, 0.8))
@@ -40,11 +41,21 @@ class Look:
         return self.albedo is None or self.emission is None or self.transmission is None
 
 
-def read_materials(context, scene: Scene, used: list, sources: list, resolution: int, *, bake: bool = True) -> None:
+def read_materials(
+    context,
+    scene: Scene,
+    used: list,
+    sources: list,
+    resolution: int,
+    *,
+    bake: bool = True,
+    atlas: Unfolded | None = None,
+) -> None:
     """Fill `scene.materials` and its maps in place.
 
     used: Blender's material (or None for an empty slot) for each of scene.materials. sources: Blender's
     object for each of scene.objects. bake=False bakes nothing but the transmission that shadow rays need.
+    atlas: as for `extract.extract`.
     """
     from . import maps
 
@@ -55,7 +66,7 @@ def read_materials(context, scene: Scene, used: list, sources: list, resolution:
     materials = [_material(material, each) for material, each in zip(used, looks, strict=True)]
     scene.materials = tuple(materials)
     if wanted:
-        maps.bake_maps(context, scene, used, sources, looks, wanted, resolution)
+        maps.bake_maps(context, scene, used, sources, looks, wanted, resolution, atlas)
     for material in scene.materials:
         if max(material.albedo) >= 0.99:
             scene.warnings.append(
@@ -292,11 +303,13 @@ def digest(material: bpy.types.Material) -> bytes:
     result = hashlib.blake2b(digest_size=8)
     result.update(repr((material.name, tuple(material.diffuse_color))).encode())
     if material.node_tree is not None:
-        _digest_tree(material.node_tree, result, set())
+        digest_tree(material.node_tree, result)
     return result.digest()
 
 
-def _digest_tree(tree, result, seen) -> None:
+def digest_tree(tree: bpy.types.NodeTree, result, seen: set | None = None) -> None:
+    """Add to a hash all that a tree's nodes set, but for ours. seen: trees that it holds already."""
+    seen = set() if seen is None else seen
     if tree in seen:
         return
     seen.add(tree)
@@ -307,13 +320,32 @@ def _digest_tree(tree, result, seen) -> None:
         if node.type in CONSTANT_NODES:
             values.append(_plain(node.outputs[0].default_value))
         image = getattr(node, "image", None)
-        result.update(repr((node.bl_idname, node.mute, image.name if image else "", values)).encode())
+        result.update(repr((node.bl_idname, node.mute, image.name if image else "", values, _own(node))).encode())
         if node.type == "GROUP" and node.node_tree is not None:
-            _digest_tree(node.node_tree, result, seen)
+            digest_tree(node.node_tree, result, seen)
     for link in tree.links:
         if not (link.from_node.get("lightpanes") or link.to_node.get("lightpanes")):
             ends = (link.from_node.name, link.from_socket.identifier, link.to_node.name, link.to_socket.identifier)
             result.update(repr(ends).encode())
+
+
+def _own(node) -> list:
+    """What a node of this type has beside its sockets, such as an operation or a ramp."""
+    found = []
+    for item in node.bl_rna.properties:
+        name = item.identifier
+        # which output is active changes by ours
+        if name in bpy.types.Node.bl_rna.properties or name == "is_active_output":
+            continue
+        value = getattr(node, name)
+        if item.type in {"BOOLEAN", "INT", "FLOAT", "STRING", "ENUM"}:
+            found.append((name, _plain(value)))
+        elif isinstance(value, bpy.types.ColorRamp):
+            ramp = [(element.position, tuple(element.color)) for element in value.elements]
+            found.append((name, value.interpolation, value.color_mode, ramp))
+        elif isinstance(value, bpy.types.CurveMapping):
+            found.append((name, [[tuple(point.location) for point in curve.points] for curve in value.curves]))
+    return found
 
 
 def _plain(value):

@@ -15,12 +15,19 @@ BAKE = "lightpanes_bake"
 FARTHEST = 1e15  # m
 
 
+def in_edit_mode() -> bool:
+    """Whether any mesh is in Edit Mode, where it holds no attributes. Of any scene: collections that are instanced need
+    not be in the one that is looked at."""
+    return any(mesh.is_editmode for mesh in bpy.data.meshes)
+
+
 @dataclass
 class Faces:
     """The triangles of one evaluated mesh in its own space; shared by all its instances.
 
     positions (V, 3) float32; triangles (T, 3) int32; normals (T, 3, 3) float32; flat (T,) bool;
-    loops (T, 3) int32 of the mesh; slots (T,) int32 material slot; uv (T, 3, 2) float32 or None where the layer is missing.
+    loops (T, 3) int32 of the mesh, which has so many corners; slots (T,) int32 material slot; uv (T, 3, 2) float32 or
+    None where the layer is missing.
     """
 
     positions: np.ndarray
@@ -30,6 +37,7 @@ class Faces:
     loops: np.ndarray
     slots: np.ndarray
     uv: np.ndarray | None
+    corners: int
 
 
 def weight_of(obj: bpy.types.Object) -> float:
@@ -71,6 +79,7 @@ def read_faces(mesh) -> Faces | None:
         corners.reshape(-1, 3),
         slots[polygons],
         uv,
+        len(mesh.loops),
     )
 
 

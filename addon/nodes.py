@@ -302,7 +302,7 @@ def _remove_pair(material, target: str):
         return
     node, output = pair
     former = tree.nodes.get(output.get(FORMER, ""))
-    if _SAMPLING in node:
+    if _SAMPLING in node and hasattr(material, "cycles"):
         material.cycles.emission_sampling = node[_SAMPLING]
     tree.nodes.remove(output)
     tree.nodes.remove(node)

@@ -6,21 +6,17 @@ the buttons do. What only a bake finds out (charts that don't fit, vertices that
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import bpy
 
-from . import foreign, materials, store, vertices, visibility
+from . import foreign, materials, refusals, store, vertices, visibility
 from .extract import GEOMETRY, NOT_TRACED
-from .meshes import LAYER
+from .refusals import is_linked, named
 
 ERROR, WARNING = "ERROR", "WARNING"
-
-MOST_LAYERS = 8
-"""UV layers that Blender allows a mesh."""
 
 MOST_REAL = 1000
 """Instances that one click may turn into objects."""
@@ -29,17 +25,22 @@ MOST_REAL = 1000
 @dataclass(frozen=True)
 class Obstacle:
     """kind: its name, and that of its fix. severity: ERROR where a bake can't be made or would hold nothing, else
-    WARNING. names: of the objects that it is about. button: label of the one-click fix, "" without one. target: the
-    object by which obstacles of one kind are told apart, "" where one stands for all objects."""
+    WARNING. about: names of the objects that it is about, and the numbers that tell them apart, since a linked and a
+    local one may share a name. button: label of the one-click fix, "" without one. target: what tells obstacles of one
+    kind apart, the object's number for those that a button mends, "" where one stands for all objects."""
 
     kind: str
     severity: str
     sentence: str
-    names: tuple[str, ...] = ()
+    about: tuple[tuple[str, int], ...] = ()
     button: str = ""
     target: str = ""
 
     OPERATOR = "lightpanes.fix"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(name for name, _ in self.about)
 
     @property
     def properties(self) -> dict[str, str]:
@@ -74,28 +75,27 @@ class Facts:
     def at_vertices(self) -> list[bpy.types.Object]:
         """Receivers that ask for light at their vertices and can have it, as far as their modifiers allow."""
         asking = [item for item in self.receivers if item.lightpanes.target == "VERTICES"]
-        return [item for item in asking if not (self.shares_mesh(item) or _has_own_light(item))]
+        return [item for item in asking if self.sharer(item) is None and not _has_own_light(item)]
 
-    def shares_mesh(self, item: bpy.types.Object) -> bool:
-        """Whether another receiver has the same mesh."""
-        return self._users[item.data] > 1
+    def sharer(self, item: bpy.types.Object) -> bpy.types.Object | None:
+        """Another receiver that has the same mesh."""
+        return next((other for other in self._users[item.data] if other != item), None)
 
     @cached_property
-    def _users(self) -> Counter:
-        return Counter(item.data for item in self.receivers)
+    def _users(self) -> dict[bpy.types.Mesh, list[bpy.types.Object]]:
+        users: dict[bpy.types.Mesh, list[bpy.types.Object]] = {}
+        for item in self.receivers:
+            users.setdefault(item.data, []).append(item)
+        return users
 
 
 def _receives(item) -> bool:
     return (
         item.type == "MESH"
         and not item.lightpanes.exclude
-        and not _is_linked(item)
+        and not is_linked(item)
         and (item.mode == "EDIT" or len(item.data.polygons) > 0)
     )
-
-
-def _is_linked(item) -> bool:
-    return item.library is not None or item.data.library is not None
 
 
 def _has_own_light(item) -> bool:
@@ -109,16 +109,8 @@ def find(facts: Facts) -> list[Obstacle]:
     return sorted(found, key=lambda obstacle: obstacle.severity != ERROR)
 
 
-def named(items: Iterable) -> str:
-    """'A', 'B' and 3 more."""
-    names = [f"'{name}'" for name in names_of(items)]
-    if len(names) > 3:
-        names[2:] = [f"{len(names) - 2} more"]
-    return " and ".join((", ".join(names[:-1]), names[-1])) if len(names) > 1 else names[0]
-
-
-def names_of(items: Iterable) -> tuple[str, ...]:
-    return tuple(item.name for item in items)
+def about(*items: bpy.types.ID) -> tuple[tuple[str, int], ...]:
+    return tuple((item.name, item.session_uid) for item in items)
 
 
 def _nothing(facts) -> Iterator[Obstacle]:
@@ -133,25 +125,25 @@ def _nothing(facts) -> Iterator[Obstacle]:
             ERROR,
             f"{begin} every mesh in scene '{scene}' is hidden from renders. "
             "Turn on its camera icon in the Outliner, or that of its collection.",
-            names_of(facts.surfaces),
+            about(*facts.surfaces),
             "Show in Renders",
         )
     elif shown and all(item.lightpanes.exclude for item in shown):
         sentence = f"{begin} every mesh in scene '{scene}' is excluded from Lightpanes."
-        yield Obstacle("ALL_EXCLUDED", ERROR, sentence, names_of(shown), "Include All")
+        yield Obstacle("ALL_EXCLUDED", ERROR, sentence, about(*shown), "Include All")
     elif shown and all(item.type == "MESH" and not item.data.polygons for item in shown):
         sentence = f"{begin} '{shown[0].name}' has no faces. Add some."
-        yield Obstacle("NO_FACES", ERROR, sentence, names_of(shown))
+        yield Obstacle("NO_FACES", ERROR, sentence, about(*shown))
     elif not facts.receivers:
         sentence = "No object can receive light: add a mesh with faces that renders, or clear Exclude on one."
         yield Obstacle("NO_RECEIVER", ERROR, sentence)
 
 
 def _mode(facts) -> Iterator[Obstacle]:
-    editing = [item for item in facts.receivers if item.mode == "EDIT"]
+    editing = [item for item in facts.surfaces if item.type == "MESH" and item.data.is_editmode]
     if editing:
-        sentence = f"'{editing[0].name}' is in Edit Mode: leave it (Tab) and bake again."
-        yield Obstacle("EDIT_MODE", ERROR, sentence, names_of(editing), "Leave Edit Mode")
+        sentence = refusals.in_edit_mode(editing[0])
+        yield Obstacle("EDIT_MODE", ERROR, sentence, about(*editing), "Leave Edit Mode")
     elif facts.context.mode != "OBJECT":
         sentence = "Bakes start in Object Mode only, and another mode is on."
         yield Obstacle("OTHER_MODE", ERROR, sentence, button="To Object Mode")
@@ -161,16 +153,13 @@ def _layers(facts) -> Iterator[Obstacle]:
     """Meshes in which the UV layer finds no place."""
     lit = set(facts.at_vertices)
     for item in facts.receivers:
-        layers = item.data.uv_layers
-        if item in lit or item.mode == "EDIT" or LAYER in layers:
+        if item in lit or item.data.is_editmode:
             continue
-        name = item.name
-        if len(layers) >= MOST_LAYERS:
-            sentence = f"'{name}' has 8 UV layers, the most that Blender allows: delete one, or exclude the object."
-            yield Obstacle("UV_LAYERS", ERROR, sentence, (name,), "Exclude", name)
-        if LAYER in item.data.attributes:
-            sentence = f"'{name}' has an attribute named '{LAYER}' that is not a UV layer: rename it."
-            yield Obstacle("ATTRIBUTE", ERROR, sentence, (name,), "Rename", name)
+        target = str(item.session_uid)
+        if refusals.has_no_layer_left(item):
+            yield Obstacle("UV_LAYERS", ERROR, refusals.no_layer_left(item), about(item), "Exclude", target)
+        if refusals.has_foreign_attribute(item):
+            yield Obstacle("ATTRIBUTE", ERROR, refusals.foreign_attribute(item), about(item), "Rename", target)
 
 
 def _exits(facts) -> Iterator[Obstacle]:
@@ -179,7 +168,7 @@ def _exits(facts) -> Iterator[Obstacle]:
             "EXITS",
             ERROR,
             f"'Points, Spread to Texels' has no place for light at vertices, as {named(facts.at_vertices)} would have it.",
-            names_of(facts.at_vertices),
+            about(*facts.at_vertices),
             "Light At: Automatic",
         )
 
@@ -191,7 +180,7 @@ def _lamps(facts) -> Iterator[Obstacle]:
             "NO_LAMP",
             WARNING,
             f"Scene '{facts.scene.name}' has no visible lamp; the light follows as soon as you add or show one.",
-            names_of(facts.all_lamps),
+            about(*facts.all_lamps),
             "Show Lamps" if facts.all_lamps else "Add Lamp",
         )
     dark = [item for item in lamps if item.data.energy == 0 and item.data.animation_data is None]
@@ -201,7 +190,7 @@ def _lamps(facts) -> Iterator[Obstacle]:
     if dark:
         sentence = f"The power of {named(dark)} is 0, so that there is no light to bake."
         button = "Set Power" if any(item.data.library is None for item in dark) else ""
-        yield Obstacle("NO_POWER", WARNING, sentence, names_of(dark), button)
+        yield Obstacle("NO_POWER", WARNING, sentence, about(*dark), button)
 
 
 def _not_meshes(facts) -> Iterator[Obstacle]:
@@ -214,7 +203,7 @@ def _not_meshes(facts) -> Iterator[Obstacle]:
             what = "is not a mesh: it blocks and reflects" if one else "are not meshes: they block and reflect"
             kind = "CONVERT" if button else "NOT_A_MESH"
             sentence = f"{named(items)} {what} light but receive{'s' * one} none. Use Object > Convert > Mesh."
-            yield Obstacle(kind, WARNING, sentence, names_of(items), button)
+            yield Obstacle(kind, WARNING, sentence, about(*items), button)
 
 
 def has_surface(item: bpy.types.Object) -> bool:
@@ -231,7 +220,7 @@ def converts_safely(item: bpy.types.Object) -> bool:
     data = item.data
     return (
         item.type in {"CURVE", "SURFACE", "FONT"}
-        and not _is_linked(item)
+        and not is_linked(item)
         and data.users == 1
         and data.animation_data is None
         and data.shape_keys is None
@@ -248,11 +237,10 @@ def _instances(facts) -> Iterator[Obstacle]:
         yield Obstacle(
             "INSTANCES",
             WARNING,
-            f"Instances made by '{item.name}' block and reflect light but receive none. "
-            "Use Object > Apply > Make Instances Real.",
-            (item.name,),
+            refusals.instances(item),
+            about(item),
             "Make Real" if few and item.library is None else "",
-            item.name,
+            str(item.session_uid),
         )
 
 
@@ -273,21 +261,16 @@ def _particles(facts) -> Iterator[Obstacle]:
             strands.append(item)
     if instancing:
         sentence = f"Particles of {named(instancing)} block and reflect light but receive none."
-        yield Obstacle("PARTICLES", WARNING, sentence, names_of(instancing))
+        yield Obstacle("PARTICLES", WARNING, sentence, about(*instancing))
     if strands:
         sentence = f"Hair or particles of {named(strands)} are not objects: they neither block nor reflect light."
-        yield Obstacle("HAIR", WARNING, sentence, names_of(strands))
+        yield Obstacle("HAIR", WARNING, sentence, about(*strands))
 
 
 def _linked(facts) -> Iterator[Obstacle]:
-    linked = [item for item in facts.shown if item.type == "MESH" and not item.lightpanes.exclude and _is_linked(item)]
+    linked = [item for item in facts.shown if item.type == "MESH" and not item.lightpanes.exclude and is_linked(item)]
     if linked:
-        one = len(linked) == 1
-        what = "comes from a linked library: it blocks and reflects" if one else (
-            "come from a linked library: they block and reflect"
-        )  # fmt: skip
-        sentence = f"{named(linked)} {what} light but receive{'s' * one} none."
-        yield Obstacle("LINKED", WARNING, sentence, names_of(linked), "Make Local")
+        yield Obstacle("LINKED", WARNING, refusals.linked(linked), about(*linked), "Make Local")
 
 
 def _missing(facts) -> Iterator[Obstacle]:
@@ -321,7 +304,7 @@ def _foreign(facts) -> Iterator[Obstacle]:
         else:
             sentence = f"{show} a bake that is not in this file, as it was last shown. Bake to replace it."
             button = "Remove That Light" if store.find_entries(facts.scene) is None else ""
-        yield Obstacle("FOREIGN_LIGHT", WARNING, sentence, names_of(items), button, items[0].name)
+        yield Obstacle("FOREIGN_LIGHT", WARNING, sentence, about(*items), button, str(items[0].session_uid))
 
 
 def _faceless(facts) -> Iterator[Obstacle]:
@@ -333,7 +316,7 @@ def _faceless(facts) -> Iterator[Obstacle]:
     ]
     if empty and facts.receivers:
         sentence = f"{named(empty)} {'has' if len(empty) == 1 else 'have'} no faces and so no part in the bake."
-        yield Obstacle("FACELESS", WARNING, sentence, names_of(empty), "Hide from Renders")
+        yield Obstacle("FACELESS", WARNING, sentence, about(*empty), "Hide from Renders")
 
 
 def _untraced(facts) -> Iterator[Obstacle]:
@@ -344,7 +327,7 @@ def _untraced(facts) -> Iterator[Obstacle]:
     for kind in sorted(met):
         items = sorted(met[kind], key=lambda item: item.name)
         sentence = f"{named(items)}: {NOT_TRACED[kind]} neither blocks nor reflects light in a bake."
-        yield Obstacle("UNTRACED", WARNING, sentence, names_of(items), target=items[0].name)
+        yield Obstacle("UNTRACED", WARNING, sentence, about(*items), target=kind)
 
 
 def _vertices(facts) -> Iterator[Obstacle]:
@@ -352,13 +335,13 @@ def _vertices(facts) -> Iterator[Obstacle]:
     for item in facts.receivers:
         if item.lightpanes.target != "VERTICES" or item.mode == "EDIT":
             continue
-        begin = f"'{item.name}' can't be lit at its vertices and takes a texture instead, because it"
-        if facts.shares_mesh(item):
-            sentence = f"{begin} shares its mesh with others."
-            yield Obstacle("SHARED_MESH", WARNING, sentence, (item.name,), "Make Single User", item.name)
+        target, other = str(item.session_uid), facts.sharer(item)
+        if other is not None:
+            sentence = refusals.shares_mesh(item, other)
+            yield Obstacle("SHARED_MESH", WARNING, sentence, about(item), "Make Single User", target)
         elif _has_own_light(item):
-            sentence = f"{begin} has an attribute '{vertices.LIGHT}' of its own."
-            yield Obstacle("LIGHT_ATTRIBUTE", WARNING, sentence, (item.name,), "Rename", item.name)
+            sentence = refusals.has_own_light(item, vertices.LIGHT)
+            yield Obstacle("LIGHT_ATTRIBUTE", WARNING, sentence, about(item), "Rename", target)
 
 
 def _looks(facts) -> Iterator[Obstacle]:

@@ -6,7 +6,7 @@ import bpy
 
 from ..core.bake import BakeError
 from ..core.scene import SceneError
-from . import animation, baking, engine, job, relight
+from . import animation, baking, engine, job, relight, waiting
 from .console import ConsoleProgress
 
 # Seconds between two looks at a bake that runs.
@@ -28,6 +28,8 @@ class LIGHTPANES_OT_bake(bpy.types.Operator):
             reason = "A bake is running"
         if reason is None and animation.running():
             reason = "An animation is being written"
+        if reason is None and waiting.renders():
+            reason = "Wait until the render is done"
         if reason is not None:
             cls.poll_message_set(reason)
         return reason is None
@@ -75,6 +77,7 @@ class LIGHTPANES_OT_bake(bpy.types.Operator):
         try:
             with ConsoleProgress(context.window_manager) as progress:
                 report = baking.bake_scene(context, progress)
+            job.forget()
         except (SceneError, BakeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -87,13 +90,11 @@ class LIGHTPANES_OT_bake(bpy.types.Operator):
         self.report({"INFO"}, summary(report))
 
     def _show(self, context):
-        progress = self.job.progress
-        shown = progress.stage, round(100 * progress.fraction)
-        if shown == self.shown:
+        if self.job.says == self.shown:
             return
-        self.shown = shown
+        self.shown = self.job.says
         if context.workspace is not None:
-            context.workspace.status_text_set(f"Lightpanes: {shown[0]}  {shown[1]} %    Esc: Cancel")
+            context.workspace.status_text_set(f"Lightpanes: {self.shown}    Esc: Cancel")
         relight.redraw_panel()
 
     def _leave(self, context):
@@ -147,6 +148,7 @@ class LIGHTPANES_OT_clear(bpy.types.Operator):
         return context.mode == "OBJECT" and not job.running()
 
     def execute(self, context):
+        job.forget()
         if not baking.clear_scene(context):
             self.report({"INFO"}, "There was no bake to clear")
         return {"FINISHED"}

@@ -12,8 +12,9 @@ import bpy
 import numpy as np
 
 from ..core.point_cache.grid import DiscGrid
-from ..core.rays import Bvh, chunks, in_threads
+from ..core.rays import Bvh, chunks
 from ..core.scene import Scene
+from ..core.threads import in_threads
 from . import colours, extract, points
 
 LONGER = 1280

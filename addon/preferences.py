@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 from bpy.props import FloatProperty, IntProperty, StringProperty
 
-from ..core import rays
+from ..core import threads
 from ..core.bake import Cache
 from . import preflight
 
@@ -27,7 +27,7 @@ def _default_folder() -> str:
 
 
 def _threads_changed(preferences, _context):
-    rays.use_threads(preferences.threads)
+    threads.use_threads(preferences.threads)
     # more threads, less time
     preflight.forget()
 
@@ -41,7 +41,7 @@ class LightpanesPreferences(bpy.types.AddonPreferences):
         "the result is the same",
         default=0,
         min=0,
-        max=rays.MOST_THREADS,
+        max=threads.MOST_THREADS,
         update=_threads_changed,
     )
     cache_folder: StringProperty(
@@ -90,9 +90,9 @@ def register() -> None:
     bpy.utils.register_class(LightpanesPreferences)
     settings = _settings()
     if settings is not None:
-        rays.use_threads(settings.threads)
+        threads.use_threads(settings.threads)
 
 
 def unregister() -> None:
-    rays.use_threads(0)
+    threads.use_threads(0)
     bpy.utils.unregister_class(LightpanesPreferences)

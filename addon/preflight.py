@@ -92,7 +92,7 @@ def examine(context: bpy.types.Context) -> Findings:
         at_vertices=len(facts.at_vertices),
         excluded=sum(item.lightpanes.exclude for item in facts.shown),
         blockers=len(facts.shown) - len(facts.receivers),
-        lamps=obstacles.names_of(facts.all_lamps),
+        lamps=tuple(item.name for item in facts.all_lamps),
         live=live,
         static=len(facts.lamps) - live,
         forecast=None if blocked else predict(facts),

@@ -1,6 +1,6 @@
 """Makes Cycles read an image again whose pixels have changed.
 
-A render that keeps its data (Persistent Data) knows images by their settings. Up to Blender 4.5 it takes new pixels of
+A render that keeps its data (Persistent Data) knows images by their settings. Before Blender 5.2 it takes new pixels of
 one only where a setting is new, too; `update_tag` is not enough. An opaque image looks the same in all its alpha modes,
 so these serve: each change takes another one, and never that of the last render.
 """

@@ -20,7 +20,20 @@ from ..core.bake import BakeError
 from ..core.panes import Relighter
 from ..core.rays import Tracer
 from ..core.scene import Light, SceneError
-from . import engine, extract, handlers, lamps, meshes, overlay, points, store, vertices, visibility
+from . import (
+    engine,
+    environment,
+    extract,
+    handlers,
+    lamps,
+    meshes,
+    overlay,
+    points,
+    store,
+    vertices,
+    visibility,
+    waiting,
+)
 
 
 @dataclass
@@ -37,6 +50,7 @@ class Session:
     stale: tuple[str, ...] = ()
     followed: str = ""  # key of the surfaces where the points are
     moved: tuple[str, ...] = ()  # what to say about that
+    owes: bool = False  # a mesh that is lit at its vertices was in Edit Mode when the light changed
     wrote_meshes: bool = False  # light went to vertices, and Blender has yet to report that these meshes changed
     milliseconds: float = 0.0
     error: str = ""
@@ -50,6 +64,8 @@ STALE_DELAY = 0.5
 _sessions: dict[int, Session] = {}
 # Renders run frame changes outside the main thread; a relighter has one set of buffers.
 _lock = threading.Lock()
+# How many ask that the light stay as it is.
+_holds = 0
 
 
 def session(scene: bpy.types.Scene) -> Session | None:
@@ -88,6 +104,18 @@ def paused():
         yield
 
 
+@contextmanager
+def held():
+    """The light does not follow the lamps meanwhile, for frames are gone through that nobody looks at. Unlike `paused`
+    this may last while Blender is free."""
+    global _holds
+    _holds += 1
+    try:
+        yield
+    finally:
+        _holds -= 1
+
+
 def relight(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph | None = None) -> float:
     """Bring the scene's `Lightpanes Irradiance` up to date with its lamps; returns milliseconds.
 
@@ -112,7 +140,7 @@ def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
 
     For handlers: what the user must know goes to the console and into the session, for the panel, once.
     """
-    if not scene.lightpanes.live or not _lock.acquire(blocking=False):
+    if _holds or not scene.lightpanes.live or not _lock.acquire(blocking=False):
         return False
     try:
         current = session(scene)
@@ -120,6 +148,8 @@ def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
             return False
         lights = _read_lights(depsgraph, current)
         key = lamp_key(lights)
+        if current.owes and not meshes.in_edit_mode():
+            current.shown = ""
         if key == current.shown or not engine.ready():
             return False
         try:
@@ -143,9 +173,11 @@ def check_stale(context: bpy.types.Context) -> tuple[str, ...]:
         return ()
     shining = lamps.read_lights(context.evaluated_depsgraph_get(), [])
     now = extract.fingerprint(context)
-    if not extract.changed_objects(meta["fingerprint"], now):
+    if not extract.changed_objects(meta["fingerprint"], now) and not meshes.in_edit_mode():
         _read_again(current)
     current.stale = differences(meta["fingerprint"], now) + _follow(context, current, meta, now)
+    if meta.get("world", environment.digest(scene.world)) != environment.digest(scene.world):
+        current.stale += ("The world was changed since the bake; bake again.",)
     current.stale += _lamp_changes(current, shining)
     return current.stale
 
@@ -249,6 +281,7 @@ def _apply(context, scene, current: Session, lights):
         points.show(scene, relighter.rows(light))
     told = vertices.show(scene, relighter.vertices(light))
     current.wrote_meshes = relighter.panes.vertices is not None
+    current.owes = any(item.data.is_editmode for item in vertices.lit(scene))
     store.write_irradiance(scene, relighter.image(light))
     current.milliseconds = 1000 * (time.perf_counter() - begin)
     current.shown = lamp_key(lights)
@@ -274,7 +307,9 @@ def relighter_of(context: bpy.types.Context, current: Session) -> Relighter:
             raise SceneError("All meshes of the bake are deleted or hidden; bring them back, or press Clear.")
         bake = store.load_bake(scene)
         geometry = extract.extract(context, resolution=bake.resolution, albedo=False)
-        current.edited = bool(extract.changed_objects(bake.meta.get("fingerprint", {}), extract.fingerprint(context)))
+        changed = extract.changed_objects(bake.meta.get("fingerprint", {}), extract.fingerprint(context))
+        # what is in Edit Mode has its new shape already
+        current.edited = bool(changed) or meshes.in_edit_mode()
         current.relighter = Relighter(bake.panes(), Tracer(geometry))
     return current.relighter
 
@@ -299,12 +334,15 @@ def _on_update(scene, depsgraph):
 
 
 def _may_stale(current: Session, change) -> bool:
-    """Whether a change can make the bake stale: to an object's shape or place, or to a lamp that is baked in."""
+    """Whether a change can make the bake stale: to an object's shape or place, to the world, or to a lamp that is
+    baked in."""
     lamp = isinstance(change.id, bpy.types.Light) or (
         isinstance(change.id, bpy.types.Object) and change.id.type == "LIGHT"
     )
     if lamp:
         return bool(current.static) or not current.panes
+    if isinstance(change.id, bpy.types.World):
+        return True
     if not isinstance(change.id, bpy.types.Object) or store.TAG in change.id:
         return False
     own = current.wrote_meshes and meshes.AT_VERTICES in change.id
@@ -312,7 +350,7 @@ def _may_stale(current: Session, change) -> bool:
 
 
 def _update_later():
-    if bpy.app.is_job_running("RENDER"):
+    if waiting.renders():
         return  # the render's own frame changes relight
     depsgraph = bpy.context.evaluated_depsgraph_get()
     update(depsgraph.scene.original, depsgraph)
@@ -321,7 +359,7 @@ def _update_later():
 
 
 def _stale_later():
-    if not bpy.app.is_job_running("RENDER"):
+    if not waiting.renders():
         check_stale(bpy.context)
         redraw_panel()
         overlay.redraw()

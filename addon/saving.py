@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +10,7 @@ import numpy as np
 
 from ..core import exr
 from ..core.bake import BakeError
+from ..core.files import replacing
 from ..core.scene import SceneError
 from . import groups, relight, store
 
@@ -64,16 +63,12 @@ def _save(path, picture) -> None:
 
 
 def _write(target: Path, write: Callable[[Path], object]) -> Path:
-    temporary = target.with_name(f".{target.stem}-{os.getpid()}.exr")
     try:
-        write(temporary)
-        os.replace(temporary, target)
+        with replacing(target) as temporary:
+            write(temporary)
     except (OSError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or str(error).strip().splitlines()[-1]
         raise SceneError(f"Can't write '{target}': {reason}. Choose another folder.") from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
     return target
 
 

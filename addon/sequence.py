@@ -10,9 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import shutil
-import tempfile
 from collections.abc import Callable, Generator
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +20,7 @@ import numpy as np
 
 from ..core import exr
 from ..core.bake import Progress
+from ..core.files import filling
 from ..core.scene import Light, SceneError
 from . import engine, extract, groups, lamps, nodes, relight, store, vertices, visibility
 from .work import run
@@ -84,32 +83,24 @@ def writing(context: bpy.types.Context, folder: Path, frames: range, by_group: b
     manifest = _manifest(scene, frames)
     if by_group:
         _name_groups(manifest, groups.in_scene(scene, current.static))
-    with _staged(folder) as stage, visibility.awake(context.view_layer), _frame_kept(scene):
+    with _staged(folder) as stage, visibility.awake(context.view_layer), _frame_kept(scene), relight.held():
         yield from _write_images(context, stage, frames, manifest)
         manifest["warnings"] += _leftovers(folder, stage)
         _write_manifest(stage / MANIFEST, manifest)
-        _publish(stage, folder)
     return manifest
 
 
 @contextlib.contextmanager
 def _staged(folder: Path):
-    """A hidden folder inside `folder`, to be emptied into it; gone afterwards, with what is left in it."""
-    made = not folder.exists()
-    stage = None
+    """A folder whose files appear in `folder` when all of them are there."""
+    begun = False
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        stage = Path(tempfile.mkdtemp(prefix=".lightpanes_", dir=folder))
-        yield stage
+        with filling(folder, last=MANIFEST) as stage:
+            begun = True
+            yield stage
     except OSError as error:
-        what = f"'{error.filename2 or folder}'" if stage is not None else f"folder '{folder}'"
+        what = f"'{error.filename2 or folder}'" if begun else f"folder '{folder}'"
         raise SceneError(f"Can't write to {what}: {error.strerror}. Choose another folder.") from error
-    finally:
-        if stage is not None:
-            shutil.rmtree(stage, ignore_errors=True)
-        if made:
-            with contextlib.suppress(OSError):  # it holds what was written
-                folder.rmdir()
 
 
 @contextlib.contextmanager
@@ -166,7 +157,8 @@ def _write_images(context, stage: Path, frames: range, manifest: dict) -> Steps:
 
 
 def _irradiance(context, current: relight.Session, lights) -> np.ndarray:
-    """(H, W, 3) float32 of what `lightpanes.relight` would show; the image that the user sees is not touched."""
+    """(H, W, 3) float32 of what `lightpanes.relight` would show; the image that the user sees is not touched, and follows
+    the lamps again once all frames are written."""
     with relight.paused():
         return relight.relighter_of(context, current).relight(lights)[..., :3].copy()
 
@@ -289,9 +281,3 @@ def _leftovers(folder: Path, stage: Path) -> list[str]:
 
 def _write_manifest(place: Path, manifest: dict) -> None:
     place.write_text(json.dumps(manifest, indent=2, ensure_ascii=False) + "\n", "utf-8")
-
-
-def _publish(stage: Path, folder: Path) -> None:
-    """Move the images into place, then the manifest that names them."""
-    for path in sorted(stage.iterdir(), key=lambda path: path.name == MANIFEST):
-        os.replace(path, folder / path.name)

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import bpy
 
 from . import former, store, world_light
-from .obstacles import WARNING, Facts, Obstacle, named, names_of
+from .obstacles import WARNING, Facts, Obstacle, about
+from .refusals import named
 
 EEVEE = {"BLENDER_EEVEE", "BLENDER_EEVEE_NEXT"}
 # The fast GI method that only darkens, and adds no light.
@@ -28,17 +29,30 @@ def find(facts: Facts) -> Iterator[Obstacle]:
 def give_back(scene: bpy.types.Scene) -> None:
     """Undo what the fixes of these obstacles changed; the bake that made them needed is gone."""
     former.give_back(scene)
-    world_light.give_back(scene.world)
+    for world in _worlds(scene):
+        world_light.give_back(world)
 
 
 def is_changed(scene: bpy.types.Scene) -> bool:
     """Whether there is anything to give back."""
-    return former.is_any(scene) or (scene.world is not None and world_light.is_hidden(scene.world))
+    return former.is_any(scene) or any(world_light.is_hidden(world) for world in _worlds(scene))
+
+
+def _worlds(scene) -> list[bpy.types.World]:
+    """The scene's world, and those that no other scene has: it may have had them when their light was hidden."""
+    others = {other.world for other in bpy.data.scenes if other != scene}
+    return [world for world in bpy.data.worlds if world == scene.world or world not in others]
 
 
 def _world(scene) -> Iterator[Obstacle]:
     world = scene.world
-    if not world_light.shines(world) or world_light.is_hidden(world):
+    if not world_light.shines(world):
+        return
+    if world_light.is_hidden(world):
+        if world_light.is_outdated(world):
+            sentence = f"EEVEE still shows world '{world.name}' as it was before its nodes were linked anew."
+            button = "Show It as It Is" if world.library is None else ""
+            yield Obstacle("WORLD_OUTDATED", WARNING, sentence, button=button)
         return
     sentence = f"EEVEE lights surfaces with world '{world.name}', whose light is in the bake too, with its shadows."
     others = [other for other in bpy.data.scenes if other != scene and other.world == world]
@@ -69,7 +83,7 @@ def _probes(facts) -> Iterator[Obstacle]:
         probes.sort(key=lambda item: item.name)
         sentence = f"The indirect light that light probe {named(probes)} holds, once baked, adds to that of the bake."
         button = "Hide Light Probes" if any(item.library is None for item in probes) else ""
-        yield Obstacle("LIGHT_PROBES", WARNING, sentence, names_of(probes), button)
+        yield Obstacle("LIGHT_PROBES", WARNING, sentence, about(*probes), button)
 
 
 def _cycles(scene) -> Iterator[Obstacle]:

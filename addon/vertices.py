@@ -13,8 +13,9 @@ import numpy as np
 
 from ..core.scene import Scene
 from ..core.surface import make_vertices
-from . import atlas, claims, visibility
+from . import atlas, claims, refusals, visibility
 from .meshes import AT_VERTICES, read_attribute
+from .snapshot import remove_layer
 
 LIGHT = "lightpanes_irradiance"
 # Number of the place plus one, 0 for none. Blender's interface does not list names that begin with a dot.
@@ -30,19 +31,15 @@ def choose(context: bpy.types.Context, objects: Iterable[bpy.types.Object]) -> t
     reshaped = _reshaped(context, [item for item in asking if item.modifiers])
     chosen, warnings = [], []
     for item in asking:
-        others = [other.name for other in receivers if other.data == item.data and other != item]
-        if others:
-            reason = f"shares its mesh with '{others[0]}': use Object > Relations > Make Single User > Object & Data"
+        other = next((each for each in receivers if each.data == item.data and each != item), None)
+        if other is not None:
+            warnings.append(refusals.shares_mesh(item, other))
         elif LIGHT in item.data.attributes and OURS not in item.data:
-            reason = f"has an attribute '{LIGHT}' of its own: rename or delete that"
+            warnings.append(refusals.has_own_light(item, LIGHT))
         elif item in reshaped:
-            reason = (
-                "has modifiers that change its vertices, and the light belongs to the mesh without them: apply them"
-            )
+            warnings.append(refusals.reshaped(item))
         else:
             chosen.append(item)
-            continue
-        warnings.append(f"'{item.name}' can't be lit at its vertices and takes a texture instead, because it {reason}.")
     return chosen, warnings
 
 
@@ -81,7 +78,7 @@ def keep(context: bpy.types.Context, surfaces: Scene, loops: dict[str, np.ndarra
             _make_attributes(mesh, loops[part.name], found.corner[owner == index])
             # from a bake that gave it a place in the atlas
             if not any(item.data == mesh and "lightpanes_scale" in item for item in bpy.data.objects):
-                atlas.remove_layer(mesh)
+                remove_layer(mesh)
 
 
 def _make_attributes(mesh, loops, place) -> None:
@@ -114,7 +111,8 @@ def lit(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def show(scene: bpy.types.Scene, values: np.ndarray) -> list[str]:
-    """Write the light of the bake's places, (v, 3) float32, to the meshes; returns what to tell the user."""
+    """Write the light of the bake's places, (v, 3) float32, to the meshes that are not in Edit Mode; returns what to tell
+    the user."""
     if not len(values):
         return []
     # the first row is for vertices that the bake does not know
@@ -123,12 +121,13 @@ def show(scene: bpy.types.Scene, values: np.ndarray) -> list[str]:
     table[:, 3] = 1
     told = []
     for item in lit(scene):
+        if item.data.is_editmode:
+            continue
         light, place = (item.data.attributes.get(name) for name in (LIGHT, PLACE))
         if light is None or place is None or (light.data_type, light.domain) != ("FLOAT_COLOR", place.domain):
             told.append(f"The attribute '{LIGHT}' of '{item.name}' has been deleted or converted; bake again.")
             continue
         index = np.empty(len(place.data), np.int32)
-        # in Edit Mode the mesh holds no attributes; it gets its light at the next relight
         if not len(index) or len(light.data) != len(index):
             continue
         place.data.foreach_get("value", index)

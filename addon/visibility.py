@@ -6,7 +6,7 @@ modifiers at the viewport's settings, so `as_rendered` sets those to the render'
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 import bpy
@@ -91,8 +91,11 @@ def _instanced(switches, collection, seen):
 
 
 @contextmanager
-def as_rendered(context: bpy.types.Context) -> Iterator[bpy.types.Depsgraph]:
-    """The depsgraph with all that renders made visible and modifiers at their render settings.
+def as_rendered(
+    context: bpy.types.Context, objects: Iterable[bpy.types.Object] | None = None
+) -> Iterator[bpy.types.Depsgraph]:
+    """The depsgraph with all that renders, or those of the objects that do, made visible and modifiers at their render
+    settings.
 
     Only settings that differ are touched, and all are put back. What the viewport shows and a
     render does not is still in the depsgraph: filter it by `rendered_objects`.
@@ -102,7 +105,8 @@ def as_rendered(context: bpy.types.Context) -> Iterator[bpy.types.Depsgraph]:
     try:
         _collections(switches, view_layer.layer_collection)
         seen: set[bpy.types.Collection] = set()
-        for obj in rendered_objects(view_layer):
+        wanted = rendered_objects(view_layer)
+        for obj in wanted if objects is None else wanted.intersection(objects):
             switches.set(obj, "hide_viewport", False)
             switches.unhide(obj, view_layer)
             switches.set(obj, "show_instancer_for_viewport", obj.show_instancer_for_render)

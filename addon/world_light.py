@@ -11,6 +11,9 @@ import bpy
 from . import environment
 from .nodes import FORMER, NO_NODES, NODE_TAG
 
+# On our output: the name of the user's, whose world it shows.
+_MEANT = "lightpanes_meant"
+
 
 def is_hidden(world: bpy.types.World) -> bool:
     """Whether our nodes are in the world."""
@@ -19,46 +22,49 @@ def is_hidden(world: bpy.types.World) -> bool:
 
 def shines(world: bpy.types.World | None) -> bool:
     """Whether the world lights diffuse surfaces, as far as its nodes show it plainly: what varies is taken to shine."""
-    if world is None or not world.cycles_visibility.diffuse:
+    if not environment.lights_surfaces(world):
         return False
-    if not _uses_nodes(world):
-        return any(world.color)
-    output = world.node_tree.get_output_node("CYCLES")
-    source = environment.linked_node(output.inputs["Surface"]) if output is not None else None
-    if source is None:
-        return False
-    if source.type == "BACKGROUND" and not source.mute:
-        parts = [environment.constant(source.inputs[name]) for name in ("Color", "Strength")]
-        return all(part is None or part.any() for part in parts)
-    return True
+    plain = environment.plain(world)
+    return plain is None or bool(plain.any())
 
 
 def hide(world: bpy.types.World) -> None:
     """Let EEVEE show the world to the camera and light nothing with it."""
     if is_hidden(world):
         return
-    sources: dict[str, bpy.types.NodeSocket] = {}
-    former = None
     if _uses_nodes(world):
-        former = world.node_tree.get_output_node("EEVEE")
-        if former is not None:
-            sources = {socket.name: socket.links[0].from_socket for socket in former.inputs if socket.is_linked}
+        meant = world.node_tree.get_output_node("EEVEE")
     else:
-        sources["Surface"] = _plain(world)
+        meant = _make_plain(world)
     tree = world.node_tree
     ray, mix, output = (
         _node(tree, kind) for kind in ("ShaderNodeLightPath", "ShaderNodeMixShader", "ShaderNodeOutputWorld")
     )
     output.target = "EEVEE"
     output.label = "Lightpanes"
-    place = former.location if former is not None else (0.0, 0.0)
+    place = meant.location if meant is not None else (0.0, 0.0)
     for node, step in ((ray, 0), (mix, 200), (output, 400)):
         node.location = (place[0] + step, place[1] - 200)
     tree.links.new(ray.outputs["Is Camera Ray"], mix.inputs[0])
-    for name, source in sources.items():
-        tree.links.new(source, mix.inputs[2] if name == "Surface" else output.inputs[name])
     tree.links.new(mix.outputs[0], output.inputs["Surface"])
-    _activate(output, former)
+    if meant is not None:
+        output[_MEANT] = meant.name
+        follow(world)
+    _activate(output, meant)
+
+
+def is_outdated(world: bpy.types.World) -> bool:
+    """Whether the user's nodes feed their output otherwise than when ours began to show what they give."""
+    return any(_source(meant) != _source(shown) for meant, shown in _feeds(world))
+
+
+def follow(world: bpy.types.World) -> None:
+    """Let our nodes show what the user's give by now."""
+    for meant, shown in _feeds(world):
+        for link in list(shown.links):
+            world.node_tree.links.remove(link)
+        if meant.is_linked:
+            world.node_tree.links.new(meant.links[0].from_socket, shown)
 
 
 def give_back(world: bpy.types.World | None) -> None:
@@ -82,8 +88,29 @@ def _uses_nodes(world) -> bool:
     return world.node_tree is not None and (bpy.app.version >= (5, 0) or world.use_nodes)
 
 
-def _plain(world) -> bpy.types.NodeSocket:
-    """Give nodes to a world that is one colour; returns what shines with it, which Cycles goes on showing."""
+def _feeds(world) -> list[tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]]:
+    """Pairs of inputs that ought to be fed alike: of the user's output, and of our nodes behind it."""
+    tree = world.node_tree
+    output = next((node for node in tree.nodes if NODE_TAG in node and getattr(node, "target", "") == "EEVEE"), None)
+    if output is None or not output.inputs["Surface"].is_linked:
+        return []
+    meant = tree.nodes.get(output.get(_MEANT, "")) or tree.get_output_node("CYCLES")
+    if meant is None:
+        return []
+    mix = output.inputs["Surface"].links[0].from_node
+    return [(each, mix.inputs[2] if each.name == "Surface" else output.inputs[each.name]) for each in meant.inputs]
+
+
+def _source(socket) -> tuple[str, str] | None:
+    """Names of the node and of its output that feed an input."""
+    if not socket.is_linked:
+        return None
+    link = socket.links[0]
+    return link.from_node.name, link.from_socket.identifier
+
+
+def _make_plain(world) -> bpy.types.Node:
+    """Give nodes to a world that is one colour; returns the output that Cycles goes on showing it by."""
     color = tuple(world.color)
     world.use_nodes = True
     world[NO_NODES] = 1
@@ -92,7 +119,7 @@ def _plain(world) -> bpy.types.NodeSocket:
     output.target = "CYCLES"
     world.node_tree.links.new(background.outputs[0], output.inputs["Surface"])
     _activate(output, world.node_tree.get_output_node("CYCLES"))
-    return background.outputs[0]
+    return output
 
 
 def _activate(output, former) -> None:

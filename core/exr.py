@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .rays import in_threads
+from .threads import in_threads
 
 LINES = 16
 """Scanlines that are compressed together; the format says so."""

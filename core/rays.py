@@ -1,4 +1,4 @@
-"""Rays through Embree: closest hits, occlusion, straight-through surfaces; threads and chunks.
+"""Rays through Embree: closest hits, occlusion, straight-through surfaces; chunks of them.
 
 The only file that imports embreex; it loads without one, and raises once rays are asked for. Embree releases the
 GIL, so chunks run on threads; the order of results, and with it every bake, does not depend on how many there are.
@@ -7,14 +7,12 @@ GIL, so chunks run on threads; the order of results, and with it every bake, doe
 from __future__ import annotations
 
 import copy
-import os
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 
 from .scene import Scene, used_rows
+from .threads import in_threads
 
 UNUSABLE = ""
 """Why embreex does not load here, in its own words; empty where it does."""
@@ -32,41 +30,9 @@ LAYERS = 24
 """See-through surfaces a ray may pass before it counts as blocked."""
 
 
-MOST_THREADS = 16
-"""More win nothing: the rest of a bake is bound by memory."""
-
-_asked = 0
-
-
-def use_threads(count: int) -> None:
-    """Let bakes and relights that begin from now on use so many threads, 0 for all cores (at most MOST_THREADS)."""
-    global _asked
-    _asked = count
-
-
-def thread_count() -> int:
-    """Threads that a bake uses: those asked for, or the cores this process may run on, at most MOST_THREADS."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(MOST_THREADS, _asked or cores))
-
-
 def chunks(count: int, size: int = CHUNK) -> list[slice]:
     """Slices of at most `size` that cover range(count)."""
     return [slice(start, min(start + size, count)) for start in range(0, count, size)]
-
-
-def in_threads(function: Callable, items: Iterable, threads: int | None = None) -> list:
-    """[function(item) for item in items], on threads, in order; an exception ends what has not begun, and is raised."""
-    items = list(items)
-    threads = min(threads or thread_count(), len(items))
-    if threads <= 1:
-        return [function(item) for item in items]
-    with ThreadPoolExecutor(threads) as pool:
-        try:
-            return list(pool.map(function, items))
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
 
 
 def product3(left: np.ndarray, right: np.ndarray) -> np.ndarray:

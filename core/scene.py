@@ -240,12 +240,6 @@ class Scene:
         used = self.positions[used_rows(self.triangles, len(self.positions))]
         return float(np.linalg.norm(np.ptp(used.astype(np.float64), axis=0)))
 
-    @property
-    def needs_see_through(self) -> bool:
-        """Whether any surface lets rays pass straight on."""
-        used = np.unique(self.triangle_material)
-        return any(any(self.materials[i].transmission) for i in used) or self.transmission_map is not None
-
 
 def used_rows(names: np.ndarray, count: int) -> np.ndarray:
     """(u,) of `count` rows those that `names`, an int array of any shape, holds; in order.

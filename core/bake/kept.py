@@ -32,7 +32,7 @@ class Kept:
 
     def open(self, scene: Scene, settings: Settings) -> None:
         """Forget everything that belongs to another scene or to other settings."""
-        key = digest(scene, settings)
+        key = digest(_what_counts(scene), settings)
         if key != self.key:
             self._forget()
             self.key = key
@@ -57,6 +57,10 @@ class Kept:
             if part is not None and self.cache is not None:
                 self._dropped[name] = part
 
+    def only(self, name: str) -> None:
+        """Forget all other parts."""
+        self.parts, self._dropped = {name: self.parts[name]}, {}
+
     def part(self, name: str, make: Callable[[], T]) -> T:
         """What `make` returned when it first finished."""
         if name not in self.parts:
@@ -74,6 +78,20 @@ class Kept:
     def _file_key(self) -> bytes:
         """Other versions may count otherwise."""
         return digest(self.key, VERSION, np.__version__)
+
+
+def _what_counts(scene: Scene) -> list:
+    """All of a scene that its bake depends on. Live lamps tell where light gets to, and panes are then for any lamp: so
+    their places count, in their order, but not their power, size or name."""
+    kept = [getattr(scene, field.name) for field in fields(scene) if field.name != "lights"]
+    for light in scene.lights:
+        if not light.live:
+            kept.append(light)
+        elif light.kind == "SUN":
+            kept.append("SUN")
+        else:
+            kept += [light.kind, light.position, light.direction if light.kind == "AREA" else None]
+    return kept
 
 
 def digest(*things: object) -> bytes:

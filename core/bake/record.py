@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from ..files import replacing
 from ..panes import Panes
 from ..panes.entry_light import EntrySurface
 from ..panes.regions import region_of, starts_of
@@ -179,14 +179,9 @@ class Bake:
         if self.direct is not None:
             arrays["direct"] = self.direct
         arrays["meta"] = np.frombuffer(json.dumps(self.meta).encode(), np.uint8)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-        try:
-            with os.fdopen(handle, "wb") as file:
+        with replacing(path) as temporary:
+            with open(temporary, "wb") as file:
                 np.savez(file, **arrays)
-            os.replace(temporary, path)
-        except BaseException:
-            os.unlink(temporary)
-            raise
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> Bake:

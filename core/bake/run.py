@@ -22,6 +22,12 @@ from .record import Bake, point_arrays
 from .steps import Prepared, in_time, prepare
 from .stored import Stored, bake_points, spread_to_texels
 
+MISSED = 1.5
+"""Error over the one asked for from which on the user is told."""
+
+PARTS = {"panes": "in the panes", "gather noise": "noise", "points": "between points"}
+"""Where the parts of an error are, in words."""
+
 
 def bake(
     scene: Scene,
@@ -34,16 +40,16 @@ def bake(
 
     progress is called every few thousand rays; an exception that it raises cancels the bake. kept: takes what is
     finished when that is a `Cancelled`; given to the next bake of the same scene with the same settings, the bake goes
-    on from there. spent: s of the time budget that reading the scene, say, has taken already. Same scene and settings,
-    same bake, on any number of threads and in any number of goes (a time budget excepted, under which nothing is kept).
-    Raises SceneError for scenes that cannot be baked.
+    on from there. A bake that is done is kept, too, until `kept` is cleared. spent: s of the time budget that reading the
+    scene, say, has taken already. Same scene and settings, same bake, on any number of threads and in any number of goes
+    (a time budget excepted, under which nothing is kept). Raises SceneError for scenes that cannot be baked.
     """
     settings = settings or Settings()
     kept = Kept() if kept is None or settings.time_budget else kept
     kept.open(scene, settings)
     clock = Clock(progress, kept.seconds, kept.reached, spent)
     try:
-        result = _bake(scene, settings, clock, kept)
+        result = kept.part("bake", lambda: _bake(scene, settings, clock, kept))
     except Cancelled:
         kept.seconds, kept.reached = clock.earlier + clock.spent, clock.reached
         kept.save()
@@ -52,7 +58,7 @@ def bake(
         # it may have ended in the middle of a chunk
         kept.clear()
         raise
-    kept.clear()
+    kept.only("bake")
     return result
 
 
@@ -86,9 +92,10 @@ def _bake(scene, settings, clock, kept):
     else:
         parts["points"] = interpolation_error(made, stored, seed)
     clock.stop()
-    warnings = made.warnings + _late(made, settings, clock)
+    error = float(np.sqrt(sum(part**2 for part in parts.values())))
+    warnings = made.warnings + (_late(made, settings, clock) or _missed(made, settings, error, parts))
     report = {
-        "error": float(np.sqrt(sum(part**2 for part in parts.values()))),
+        "error": error,
         "error_parts": parts,
         "skipped": {} if made.test_direct is not None else {"panes": "no lamp is live"},
         "error_target": settings.error_target,
@@ -126,6 +133,24 @@ def _late(made: Prepared, settings: Settings, clock: Clock) -> list[str]:
     if not asked or took <= max(1.1 * asked, asked + 1):
         return []
     return [f"The time budget of {asked:.3g} s is too short: at the least quality the bake took {took:.3g} s."]
+
+
+def _missed(made: Prepared, settings: Settings, error: float, parts: dict[str, float]) -> list[str]:
+    """A warning where the error is far from the one asked for, by budgets that nobody set by hand."""
+    by_hand = any(getattr(settings, name) is not None for name in asdict(made.budget))
+    if by_hand or error <= MISSED * settings.error_target:
+        return []
+    worst = max(parts, key=parts.get)
+    if settings.time_budget:
+        remedy = "allow more Time"
+    elif worst == "points" and not len(made.vertices):
+        remedy = "set Light At to Texels"
+    else:
+        remedy = "ask for a lower Error"
+    return [
+        f"The error is {100 * error:.1f} % where {100 * settings.error_target:.1f} % was asked for, most of it "
+        f"{PARTS[worst]}: {remedy}."
+    ]
 
 
 def _at_texels(made: Prepared, settings: Settings, clock: Clock) -> tuple[Panes, np.ndarray | None]:

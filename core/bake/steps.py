@@ -217,6 +217,8 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
 def in_time(made: Prepared, settings: Settings, clock: Clock, rays: str, places: int) -> None:
     """Cut the budget's `rays` (a field of Budget) from so many places to what a time budget leaves for them."""
     if settings.time_budget:
+        # without live lamps no stage has begun since the transport
+        clock.stop()
         rate = clock.traced["Transport"] / max(clock.seconds["Transport"], 1e-3)
         made.budget = limit_rays(made.budget, rays, places, rate, KEPT_BACK * time_left(settings, clock))
 

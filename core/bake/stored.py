@@ -15,8 +15,9 @@ from ..panes.regions import starts_of
 from ..planner import Settings
 from ..point_cache import Ground, PointSet, Weights, gather_gradients, lamp_radius, make_points, serve, survey
 from ..point_cache.gradients import POINTS
-from ..rays import chunks, in_threads
+from ..rays import chunks
 from ..surface import Texels
+from ..threads import in_threads
 from ..transfer import Begun
 from ..transfer.entries import PLACES
 from .clock import Clock

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..rays import chunks, in_threads
+from ..rays import chunks
+from ..threads import in_threads
 from .exits import STEPS
 from .regions import region_of
 

@@ -11,10 +11,11 @@ from collections.abc import Callable
 import numpy as np
 
 from ..lights import irradiance
-from ..rays import Bvh, Tracer, chunks, in_threads, product3
+from ..rays import Bvh, Tracer, chunks, product3
 from ..sampling import cosine_hemisphere, frame, hash_uniform, spiral
 from ..scene import Light, Scene
 from ..surface import SurfaceSamples
+from ..threads import in_threads
 from ..transfer import Gatherer
 
 NEAR = (0.005, 0.045)

@@ -13,7 +13,8 @@ import time
 
 import numpy as np
 
-from ..rays import chunks, in_threads
+from ..rays import chunks
+from ..threads import in_threads
 from .casting import RAYS, cast_rays, settle, trace_all, trace_open
 from .cost import Cost
 from .lamp import LampSamples

@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..rays import chunks, in_threads
+from ..rays import chunks
+from ..threads import in_threads
 from .lamp import LampSamples
 from .masks import AWAY, LIT, UMBRA, Masks, Statistics, full_mask, words_from
 from .receivers import Receivers, facing

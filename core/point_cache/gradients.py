@@ -10,9 +10,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..rays import chunks, in_threads, product3
+from ..rays import chunks, product3
 from ..sampling import hash_uniform
 from ..surface import SurfaceSamples
+from ..threads import in_threads
 from ..transfer import Begun, Gatherer
 from ..transfer.gather import turns
 

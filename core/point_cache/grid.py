@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..rays import chunks, in_threads
+from ..rays import chunks
+from ..threads import in_threads
 
 QUERIES = 16_384
 """Queries handled together: their pairs stay in the caches."""

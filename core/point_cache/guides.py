@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..rays import Bvh, chunks, in_threads, product3
+from ..rays import Bvh, chunks, product3
 from ..sampling import cosine_hemisphere, hammersley_points
 from ..surface import SurfaceSamples
+from ..threads import in_threads
 from ..transfer.gather import turns
 from .grid import LevelGrid, in_chunks
 from .points import PointSet

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..rays import Bvh, chunks, in_threads
+from ..rays import Bvh, chunks
 from ..scene import Scene
 from ..surface import Patches
+from ..threads import in_threads
 from ..transfer.reach import walk
 from .grid import LevelGrid, nearest_first
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..rays import Bvh, chunks, in_threads
+from ..rays import Bvh, chunks
 from ..scene import Scene, SceneError
+from ..threads import in_threads
 from .samples import SurfaceSamples, no_samples, sample_triangles
 
 GUTTER = 16

@@ -12,10 +12,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..rays import CHUNK, LAYERS, Bvh, Tracer, Transmission, chunks, in_threads, product3
+from ..rays import CHUNK, LAYERS, Bvh, Tracer, Transmission, chunks, product3
 from ..sampling import cosine_hemisphere, frame, hammersley_points, hash_uniform
 from ..scene import Scene
 from ..surface import Patches, SurfaceSamples
+from ..threads import in_threads
 
 ROWS = 16
 """Directions of the pattern handled together: their ids stay in the second-level cache."""

@@ -11,8 +11,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..rays import in_threads, product3
+from ..rays import product3
 from ..surface import SurfaceSamples
+from ..threads import in_threads
 
 ROWS = 64
 """Entries whose pairs with all others are handled together."""

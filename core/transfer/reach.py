@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..rays import Bvh, Hits, Transmission, chunks, in_threads
+from ..rays import Bvh, Hits, Transmission, chunks
 from ..sampling import concentric_disk, cosine_hemisphere, frame, hash_uniform, spiral
 from ..scene import Scene, used_rows
 from ..surface import Patches
+from ..threads import in_threads
 
 PARTICLES = 32_768
 BOUNCES = 12

@@ -9,10 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..rays import Bvh, Tracer, in_threads
+from ..rays import Bvh, Tracer
 from ..sampling import cosine_hemisphere, frame, hash_uniform
 from ..scene import Scene
 from ..surface import Patches, SurfaceSamples, sample_triangles, surface_colour
+from ..threads import in_threads
 from .entries import MAX_ALBEDO, PLACES, Entries
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)

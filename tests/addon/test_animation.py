@@ -232,6 +232,32 @@ def test_a_full_disk(baked, tmp_path, monkeypatch):
     assert not folder.exists() and baked.frame_current == 2
 
 
+def test_a_frame_is_relit_once(baked, tmp_path, monkeypatch):
+    """For its file; the image that the user sees stays, and shows the frame at which the scene stands."""
+    calls, light = [], Relighter.light
+    monkeypatch.setattr(Relighter, "light", lambda self, lamps: (calls.append(1), light(self, lamps))[1])
+    relight.relight(bpy.context)
+    before = shown().copy()
+    calls.clear()
+    seen = []
+    sequence.write(bpy.context, tmp_path, range(1, 5), lambda _: seen.append(np.array_equal(shown(), before)))
+    assert len(calls) == 4 and all(seen) and np.array_equal(shown(), before)
+    baked.frame_set(4)
+    assert len(calls) == 5 and not np.allclose(shown(), before, rtol=0.1)
+
+
+def test_all_files_or_none(baked, tmp_path, monkeypatch):
+    """Where one can't be moved, those of an earlier run come back."""
+    write(tmp_path, frame_end=2)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    bpy.data.lights["Lamp"].animation_data_clear()
+    bpy.data.lights["Lamp"].energy = 3
+    (tmp_path / "irradiance_0003.exr").mkdir()
+    refused(tmp_path)
+    (tmp_path / "irradiance_0003.exr").rmdir()
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
 def test_a_file_that_cannot_be_replaced(baked, tmp_path):
     """The manifest is the last to be moved: it never names what is not there."""
     (tmp_path / "irradiance_0003.exr").mkdir()

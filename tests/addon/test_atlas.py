@@ -190,13 +190,13 @@ def test_other_layers_selection_and_data_stay_as_they_were(mixed):
 
 
 def test_a_snapshot_puts_the_atlas_back(mixed):
-    taken = Snapshot(bpy.context.scene, mixed)
+    taken = Snapshot.of(bpy.context.scene, mixed)
     make()
     taken.restore()
     assert all(LAYER not in obj.data.uv_layers and "lightpanes_baked" not in obj for obj in mixed)
     make()
     places = [atlas_uv(obj) for obj in mixed]
-    taken = Snapshot(bpy.context.scene, mixed)
+    taken = Snapshot.of(bpy.context.scene, mixed)
     mixed[0].scale = (3, 1, 1)
     bpy.context.view_layer.update()
     make()

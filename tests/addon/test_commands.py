@@ -68,6 +68,19 @@ def test_report_on_the_terminal_is_json_and_nothing_else(file, capsys):
     assert said["stale"] == [] and said["error"] > 0
 
 
+@pytest.mark.parametrize("report", ["-", "report.json"])
+def test_info_comes_before_points_that_are_not_there(file, tmp_path, capsys, report):
+    assert commands.main(bake_words(file)) == 0
+    capsys.readouterr()
+    place = report if report == "-" else str(tmp_path / report)
+    baked = str(file.with_name("room_lightpanes.blend"))
+    assert commands.main(["info", "--points", "radius", baked, "--json", place]) == 2
+    said, told = capsys.readouterr()
+    assert "has no points" in told
+    assert json.loads(said if report == "-" else (tmp_path / report).read_text())["error"] > 0
+    assert "triangles: " in (told if report == "-" else said)
+
+
 def test_relight(file, tmp_path):
     assert commands.main(bake_words(file)) == 0
     baked = file.with_name("room_lightpanes.blend")

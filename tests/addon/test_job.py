@@ -54,6 +54,8 @@ def test_progress_never_goes_back_and_tells_time_and_error(room, monkeypatch):
     # between two looks of the main thread much may go by
     monkeypatch.setattr(job._Thread, "_told", lambda self, progress: (told.append(progress), tell(self, progress)))
     ended = drive(lambda progress: seen.append(progress))
+    # what core tells last is not the end
+    assert told and "Done" not in {progress.stage for progress in told}
     fractions = [progress.fraction for progress in seen]
     assert fractions == sorted(fractions)
     assert ended.progress.fraction == 1
@@ -165,6 +167,15 @@ def test_an_object_moved_meanwhile_is_stale(room):
     drive(running=running)
     assert running.report is not None
     assert relight.check_stale(bpy.context) == ("'Block' was moved or edited since the bake; bake again.",)
+
+
+def test_an_object_added_meanwhile_is_stale(room):
+    running = drive(stage("Transport"))
+    bpy.ops.mesh.primitive_cube_add(size=0.2, location=(-0.5, 0.5, 0.5))
+    bpy.context.object.name = "Late"
+    drive(running=running)
+    assert running.report is not None
+    assert relight.check_stale(bpy.context) == ("'Late' was added since the bake; bake again.",)
 
 
 def test_a_mesh_edited_meanwhile(room):

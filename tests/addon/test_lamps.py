@@ -8,7 +8,6 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from lightpanes.addon import lamps  # noqa: E402
-from lightpanes.core.scene import SceneError  # noqa: E402
 from lightpanes.tests.bench import bench_lights as bench  # noqa: E402
 
 
@@ -127,14 +126,6 @@ def test_scale_and_bad_scale():
     bpy.context.scene.collection.objects.link(parent)
     parent.scale, obj.scale, obj.parent = (3.0, 1.0, 1.0), (1.0, 1.0, 1.0), parent
     assert "sheared" in read()[1][0]
-
-
-def test_read_light_wants_a_lamp():
-    obj = add("SUN", energy=2.0)
-    light = lamps.read_light(obj, obj.matrix_world, bpy.context.scene)
-    assert light.kind == "SUN" and light.power == pytest.approx([2, 2, 2])
-    with pytest.raises(SceneError, match="'Empty' is not a lamp"):
-        lamps.read_light(bpy.data.objects.new("Empty", None), obj.matrix_world)
 
 
 # ---- worlds ----

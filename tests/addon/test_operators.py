@@ -6,7 +6,8 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 import lightpanes  # noqa: E402
-from lightpanes.addon import atlas, baking, operators, store  # noqa: E402
+from lightpanes.addon import baking, operators, store  # noqa: E402
+from lightpanes.addon.snapshot import PLACE  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("quick")
@@ -48,7 +49,7 @@ def bake_state(scene):
         if item.type == "MESH" and item.data.uv_layers.get("Lightpanes") is not None:
             uv = np.empty(2 * len(item.data.loops), np.float32)
             item.data.uv_layers["Lightpanes"].uv.foreach_get("vector", uv)
-            layers.append((item.name, uv.tobytes(), *(list(item[key]) for key in atlas.PLACE[:2])))
+            layers.append((item.name, uv.tobytes(), *(list(item[key]) for key in PLACE[:2])))
     irradiance = store.find_image(scene, store.IRRADIANCE)
     return [a.tobytes() for a in arrays], layers, np.array(irradiance.pixels, np.float32).tobytes(), found.meta
 

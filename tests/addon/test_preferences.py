@@ -11,32 +11,32 @@ bpy = pytest.importorskip("bpy")
 
 import lightpanes  # noqa: E402
 from lightpanes.addon import job, preferences, store  # noqa: E402
-from lightpanes.core import rays  # noqa: E402
+from lightpanes.core import threads  # noqa: E402
 
 from .drawing import Recorder, texts  # noqa: E402
 from .test_job import drive, stage  # noqa: E402
 
 
 def test_threads(blender):
-    every = rays.thread_count()
+    every = threads.thread_count()
     addon = bpy.context.preferences.addons.new()
     addon.module = preferences.ADDON
     try:
         addon.preferences.threads = 3
-        assert rays.thread_count() == 3
+        assert threads.thread_count() == 3
         drawn = Recorder()
         shown = SimpleNamespace(layout=drawn, bl_rna=addon.preferences.bl_rna, cache_folder="")
         preferences.LightpanesPreferences.draw(shown, None)
         assert texts(drawn.drawn, "prop") == ["threads", "cache_folder", "cache_size"]
         lightpanes.unregister()
-        assert rays.thread_count() == every
+        assert threads.thread_count() == every
         lightpanes.register()
-        assert rays.thread_count() == 3
+        assert threads.thread_count() == 3
         addon.preferences.threads = 0
-        assert rays.thread_count() == every
+        assert threads.thread_count() == every
     finally:
         bpy.context.preferences.addons.remove(addon)
-        rays.use_threads(0)
+        threads.use_threads(0)
 
 
 @pytest.fixture

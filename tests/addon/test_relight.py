@@ -366,3 +366,72 @@ def test_deleted_images(baked, role, tmp_path):
 def test_no_bake(room):
     with pytest.raises(SceneError, match=r"Scene 'Scene' has no bake; press Bake first\."):
         relight.relight(bpy.context)
+
+
+def edit(name="Block"):
+    bpy.ops.object.select_all(action="DESELECT")
+    bpy.context.view_layer.objects.active = bpy.data.objects[name]
+    bpy.ops.object.mode_set(mode="EDIT")
+
+
+def leave():
+    bpy.ops.object.mode_set(mode="OBJECT")
+    update()
+
+
+def test_in_edit_mode(baked):
+    """Nothing has changed yet, and lamps still shine."""
+    before = image().copy()
+    edit()
+    update()
+    assert relight.check_stale(bpy.context) == ()
+    bpy.data.lights["Lamp"].energy *= 2
+    relight.relight(bpy.context)
+    assert np.allclose(image(), 2 * before, rtol=1e-4, atol=1e-6)
+    leave()
+    assert relight.check_stale(bpy.context) == ()
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_edited_in_edit_mode(baked, tmp_path, shared):
+    """It is told afterwards, and shadows of a shape that is gone again go, too."""
+    if shared:
+        twin = bpy.data.objects.new("Twin", bpy.data.objects["Block"].data)
+        baked.collection.objects.link(twin)
+        twin.location = (-0.5, 0.5, 0.5)
+        update()
+        bpy.ops.lightpanes.bake()
+    before = image().copy()
+    scene = reopen(tmp_path)
+    edit()
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.transform.translate(value=(0, 0, 0.5))
+    bpy.data.lights["Lamp"].energy *= 1.0001
+    relight.relight(bpy.context)
+    leave()
+    assert "'Block' was moved or edited since the bake; bake again." in relight.check_stale(bpy.context)
+    edit()
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.transform.translate(value=(0, 0, -0.5))
+    leave()
+    bpy.data.lights["Lamp"].energy /= 1.0001
+    relight.relight(bpy.context)
+    relight.relight(bpy.context)
+    assert np.allclose(image(scene), before, rtol=1e-3, atol=1e-5)
+
+
+def test_light_at_vertices_after_edit_mode(room):
+    block = bpy.data.objects["Block"]
+    block.lightpanes.target = "VERTICES"
+    bpy.ops.lightpanes.bake()
+
+    def light():
+        return np.array([tuple(value.color) for value in block.data.attributes["lightpanes_irradiance"].data])[:, :3]
+
+    before = light()
+    edit()
+    bpy.data.lights["Lamp"].energy *= 2
+    update()
+    assert not relight.session(room).error
+    leave()
+    assert np.allclose(light(), 2 * before, rtol=1e-4, atol=1e-6)

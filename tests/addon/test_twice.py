@@ -4,7 +4,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from lightpanes.addon import former, store, twice, world_light  # noqa: E402
+from lightpanes.addon import former, preflight, store, twice, world_light  # noqa: E402
 
 from .mending import add, bakes, found, mend, without_fix  # noqa: E402
 from .test_nodes import tree_state  # noqa: E402
@@ -135,3 +135,61 @@ def test_a_second_change_keeps_what_was_before_the_first(room):
     former.change(room, "eevee.fast_gi_ray_count", was + 2)
     former.give_back(room)
     assert room.eevee.fast_gi_ray_count == was
+
+
+def test_clear_gives_back_a_world_that_the_scene_has_no_more(room):
+    room.render.engine = EEVEE
+    world = sky(room)
+    before = tree_state(world.node_tree)
+    mend("WORLD_LIGHT")
+    room.world = bpy.data.worlds.new("Other")
+    assert preflight.examine(bpy.context).can_give_back
+    assert bpy.ops.lightpanes.clear() == {"FINISHED"}
+    assert tree_state(world.node_tree) == before and not preflight.examine(bpy.context).can_give_back
+
+
+def test_clear_leaves_another_scenes_world_alone(room):
+    room.render.engine = EEVEE
+    world = sky(room)
+    mend("WORLD_LIGHT")
+    other = bpy.data.scenes.new("Other")
+    room.world, other.world = None, world
+    assert not preflight.examine(bpy.context).can_give_back
+    bpy.ops.lightpanes.clear()
+    assert world_light.is_hidden(world)
+
+
+@pytest.mark.parametrize("change", ["other", "none", "volume"])
+def test_a_world_whose_nodes_are_linked_anew(room, change):
+    room.render.engine = EEVEE
+    world = sky(room)
+    before = tree_state(world.node_tree)
+    mend("WORLD_LIGHT")
+    assert not found("WORLD_OUTDATED")
+    tree, output = world.node_tree, world.node_tree.get_output_node("CYCLES")
+    old = output.inputs["Surface"].links[0].from_socket
+    new = tree.nodes.new("ShaderNodeVolumeScatter" if change == "volume" else "ShaderNodeBackground")
+    socket = output.inputs["Volume" if change == "volume" else "Surface"]
+    if change == "none":
+        tree.nodes.remove(new)
+        tree.links.remove(socket.links[0])
+        # a world that is black has nothing to say
+        assert not found("WORLD_OUTDATED") and world_light.is_outdated(world)
+        world_light.follow(world)
+        assert not world_light.is_outdated(world)
+    else:
+        tree.links.new(new.outputs[0], socket)
+        mend("WORLD_OUTDATED")
+    shown = tree.get_output_node("EEVEE")
+    mix = shown.inputs["Surface"].links[0].from_node
+    if change == "volume":
+        assert shown.inputs["Volume"].links[0].from_node == new
+        tree.nodes.remove(new)
+    elif change == "other":
+        assert mix.inputs[2].links[0].from_node == new
+        tree.nodes.remove(new)
+    else:
+        assert not mix.inputs[2].is_linked
+    tree.links.new(old, output.inputs["Surface"])
+    assert bpy.ops.lightpanes.clear() == {"FINISHED"}
+    assert tree_state(tree) == before

@@ -18,8 +18,9 @@ from lightpanes.addon.extract import extract
 from lightpanes.core.bake import Settings, bake
 from lightpanes.core.bake.steps import prepare
 from lightpanes.core.panes.exits import gather_panes
-from lightpanes.core.rays import CHUNK, chunks, in_threads
+from lightpanes.core.rays import CHUNK, chunks
 from lightpanes.core.sampling import cosine_hemisphere, hammersley_points
+from lightpanes.core.threads import in_threads
 from lightpanes.core.transfer.gather import turns
 
 from . import harness, scenes

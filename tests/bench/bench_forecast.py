@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import bpy
 import lightpanes
 from lightpanes.addon import baking, preflight
-from lightpanes.core.rays import thread_count
+from lightpanes.core.threads import thread_count
 
 from . import harness, scenes
 from .bench_bake import peak_memory

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
-from lightpanes.core import rays
+from lightpanes.core import threads as workers
 from lightpanes.core.bake import Settings, bake
 from lightpanes.core.bake.check import fresh_values, interpolation_error, pane_values
 from lightpanes.core.bake.clock import Clock
@@ -82,12 +82,12 @@ def make_rows() -> Iterator[dict]:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    was = rays.thread_count
-    rays.thread_count = lambda: 1
+    was = workers.thread_count
+    workers.thread_count = lambda: 1
     try:
         yield
     finally:
-        rays.thread_count = was
+        workers.thread_count = was
 
 
 def broken_pairs(points: PointSet) -> int:

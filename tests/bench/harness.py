@@ -57,7 +57,8 @@ def interleaved(*functions: Callable[[], object], repeats: int = 5) -> list[floa
 
 def calibrations() -> list[dict]:
     """What this machine can do now: rays a second, bytes a second. The same work on every machine."""
-    from lightpanes.core.rays import chunks, in_threads, thread_count
+    from lightpanes.core.rays import chunks
+    from lightpanes.core.threads import in_threads, thread_count
 
     bvh, origins, directions = _fixed_rays()
     pieces = chunks(len(origins))

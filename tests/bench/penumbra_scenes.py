@@ -10,8 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from lightpanes.core.rays import Bvh, chunks, in_threads
+from lightpanes.core.rays import Bvh, chunks
 from lightpanes.core.scene import Light, Scene
+from lightpanes.core.threads import in_threads
 
 
 @dataclass(frozen=True)

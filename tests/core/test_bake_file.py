@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
-from lightpanes.core import rays
+from lightpanes.core import threads as workers
 from lightpanes.core.bake import Bake, BakeError, Progress, bake
 from lightpanes.core.scene import Material, SceneError, Sky
 
@@ -238,7 +238,7 @@ def test_as_many_threads_as_you_like(monkeypatch):
     made = room(lights=[lamp((3, 1.5, 2))])
     bakes = []
     for threads in (1, 2, 5):
-        monkeypatch.setattr(rays, "thread_count", lambda threads=threads: threads)
+        monkeypatch.setattr(workers, "thread_count", lambda threads=threads: threads)
         bakes.append(bake(made, quick(resolution=100, entry_rays=64, exit_rays=48)))
     same(bakes[0], bakes[1])
     same(bakes[0], bakes[2])

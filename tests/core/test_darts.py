@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from lightpanes.core import rays
+from lightpanes.core import threads as workers
 from lightpanes.core.point_cache import PointSet, guides, make_points, make_points_by_darts, survey
 from lightpanes.core.point_cache.build import COARSE, Ground
 from lightpanes.core.point_cache.darts import FLAT, LIKE, PACKING, WINDOW, Darts, Fragments, throw
@@ -175,7 +176,7 @@ def test_ambient_occlusion_of_each_dart():
 def test_neither_batches_nor_threads_change_the_set(monkeypatch, batch, threads):
     ground = room_ground()
     first = make_points(ground, guides.by_occlusion(ground.ao), 1500, seed=3, batch=8192)
-    monkeypatch.setattr(rays, "thread_count", lambda: threads)
+    monkeypatch.setattr(workers, "thread_count", lambda: threads)
     again = make_points(ground, guides.by_occlusion(ground.ao), 1500, seed=3, batch=batch)
     for name in ("position", "normal", "radius", "ao", "back"):
         assert np.array_equal(getattr(first, name), getattr(again, name))
@@ -186,7 +187,7 @@ def test_neither_batches_nor_threads_change_the_set(monkeypatch, batch, threads)
 
 def test_threads_do_not_change_the_coarse_set(monkeypatch):
     first = room_ground()
-    monkeypatch.setattr(rays, "thread_count", lambda: 1)
+    monkeypatch.setattr(workers, "thread_count", lambda: 1)
     again = surveyed(first.scene)
     assert np.array_equal(first.coarse.position, again.coarse.position)
     assert np.array_equal(first.ao, again.ao) and np.array_equal(first.harmonic, again.harmonic)

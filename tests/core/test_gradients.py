@@ -245,13 +245,13 @@ def test_rays_below_the_surface_bring_nothing():
 
 
 def test_neither_threads_nor_chunks_change_gradients(monkeypatch):
-    from lightpanes.core import rays
+    from lightpanes.core import threads as workers
 
     made = scene(*room_parts(), materials=room().materials)
     gatherer = by_object(made)
     points = anywhere(made, 3 * POINTS)
     directions = uniform_sphere(np.random.default_rng(0).uniform(size=(gatherer.size, 2)))[:, :1]
     first = gathered(gatherer, points, directions[:, 0], 0.1, 64)
-    monkeypatch.setattr(rays, "thread_count", lambda: 1)
+    monkeypatch.setattr(workers, "thread_count", lambda: 1)
     assert np.array_equal(first, gathered(gatherer, points, directions[:, 0], 0.1, 64))
     assert not np.array_equal(first, gathered(gatherer, points, directions[:, 0], 0.1, 64, seed=2))

@@ -44,7 +44,8 @@ def test_a_bake_in_several_goes(exits):
     assert same(whole, again)
     # all rays but those of the check had been traced
     assert seen[-1][1] < 0.3 * whole.meta["report"]["rays"]
-    assert not kept.parts
+    # the next one asks for it again, unless it is told that the bake has arrived
+    assert bake(made(), settings, kept=kept) is again and list(kept.parts) == ["bake"]
 
 
 def test_what_is_kept_belongs_to_one_scene_and_its_settings():
@@ -57,6 +58,38 @@ def test_what_is_kept_belongs_to_one_scene_and_its_settings():
     with pytest.raises(Cancelled):
         bake(made(), quick(), cancel_at("Exits", 0.0, []), kept)
     assert same(bake(made(), quick(seed=3), kept=kept), bake(made(), quick(seed=3)))
+
+
+@pytest.mark.parametrize(("exits", "kind"), [("texels", "SUN"), ("points", "AREA")])
+def test_a_live_lamp_that_was_dimmed_changes_no_bake(exits, kind):
+    """Nor does its size; so what was finished before is of use."""
+
+    def lit(**more):
+        return room(lights=[lamp((1, 1, 2), kind=kind, **more)])
+
+    other = lit(power=(0.1, 2, 3), radius=0.3, size=(0.2, 0.1), angle=0.1, spot_angle=0.5)
+    settings = quick(exits=exits)
+    kept, seen = Kept(), []
+    with pytest.raises(Cancelled):
+        bake(lit(), settings, cancel_at("Exits", 0.0, []), kept)
+    again = bake(other, settings, lambda now: seen.append(now.stage), kept)
+    assert same(again, bake(other, settings))
+    assert "Transport" not in seen
+
+
+@pytest.mark.parametrize("change", ["moved", "baked in", "another kind", "another"])
+def test_a_lamp_by_which_light_gets_elsewhere(change):
+    lights = {
+        "moved": [lamp((1, 1, 2.1))],
+        "baked in": [lamp((1, 1, 2), live=False)],
+        "another kind": [lamp((1, 1, 2), kind="SUN")],
+        "another": [lamp((1, 1, 2)), lamp((2, 1, 2))],
+    }
+    kept = Kept()
+    kept.open(made(), quick())
+    key = kept.key
+    kept.open(room(lights=lights[change]), quick())
+    assert kept.key != key
 
 
 def test_an_error_leaves_nothing():

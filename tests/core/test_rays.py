@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lightpanes.core import rays
-from lightpanes.core.rays import LAYERS, Bvh, Tracer, chunks, in_threads, sample_map
+from lightpanes.core import threads as workers
+from lightpanes.core.rays import LAYERS, Bvh, Tracer, chunks, sample_map
 from lightpanes.core.scene import Material, Scene, SceneObject
+from lightpanes.core.threads import in_threads
 
 from .shapes import quad, scene
 
@@ -211,7 +212,7 @@ def test_threads_do_not_change_what_is_seen(monkeypatch):
     origins, vectors = rays_around(30_000, 5)
     alone, both = (Tracer(made, threads=n).visibility(origins, vectors) for n in (1, 2))
     assert np.array_equal(alone, both)
-    monkeypatch.setattr(rays, "thread_count", lambda: 3)
+    monkeypatch.setattr(workers, "thread_count", lambda: 3)
     assert np.array_equal(Tracer(made).visibility(origins, vectors), alone)
 
 
@@ -234,12 +235,12 @@ def test_lifted_origins_do_not_hit_their_own_surface(size, away):
 
 
 def test_threads_as_asked():
-    every = rays.thread_count()
+    every = workers.thread_count()
     try:
-        rays.use_threads(1)
-        assert rays.thread_count() == 1 and in_threads(lambda x: x + 1, range(5)) == [1, 2, 3, 4, 5]
-        rays.use_threads(1000)
-        assert rays.thread_count() == rays.MOST_THREADS
+        workers.use_threads(1)
+        assert workers.thread_count() == 1 and in_threads(lambda x: x + 1, range(5)) == [1, 2, 3, 4, 5]
+        workers.use_threads(1000)
+        assert workers.thread_count() == workers.MOST_THREADS
     finally:
-        rays.use_threads(0)
-    assert rays.thread_count() == every
+        workers.use_threads(0)
+    assert workers.thread_count() == every

@@ -1,0 +1,38 @@
+"""Work spread over threads, in an order that does not depend on how many there are."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+
+MOST_THREADS = 16
+"""More win nothing: the rest of a bake is bound by memory."""
+
+_asked = 0
+
+
+def use_threads(count: int) -> None:
+    """Let bakes and relights that begin from now on use so many threads, 0 for all cores (at most MOST_THREADS)."""
+    global _asked
+    _asked = count
+
+
+def thread_count() -> int:
+    """Threads that a bake uses: those asked for, or the cores this process may run on, at most MOST_THREADS."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(MOST_THREADS, _asked or cores))
+
+
+def in_threads(function: Callable, items: Iterable, threads: int | None = None) -> list:
+    """[function(item) for item in items], on threads, in order; an exception ends what has not begun, and is raised."""
+    items = list(items)
+    threads = min(threads or thread_count(), len(items))
+    if threads <= 1:
+        return [function(item) for item in items]
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            return list(pool.map(function, items))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
