@@ -99,7 +99,8 @@ def _parser(opened: bool) -> argparse.ArgumentParser:
         nargs="?",
         const=KINDS[0],
         choices=KINDS,
-        help="also draw the points that hold the light, coloured by this (radius), into FILE_points.png",
+        help="also draw the points of a bake that gathered at points (--exits points), coloured by this (radius), into "
+        "FILE_points.png",
     )
     return parser
 
@@ -192,7 +193,6 @@ def _info(options) -> int:
     if meta is None:
         raise UserError(f"'{path.name}' has no bake in scene '{scene.name}'; bake it first.")
     stale = list(relight.check_stale(bpy.context))
-    picture = _draw_points(options, path) if options.points else None
     report = {**context_of(path), "settings": _settings(scene.lightpanes), **meta.get("report", {}), "stale": stale}
     _say(options, operators.summary(report))
     for key, value in report.items():
@@ -200,7 +200,9 @@ def _info(options) -> int:
             _say(options, f"  {key}: {value}")
     for sentence in stale + report.get("warnings", []):
         _say(options, f"  Warning: {sentence}")
-    if picture is not None:
+    if options.points:
+        # a bake without points is still told of
+        picture = _draw_points(options, path)
         report["picture"] = str(picture)
         _say(options, f"Wrote {picture}")
     _write_report(options, report)

@@ -13,9 +13,9 @@ from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
 
 STYLE = {
     "Cycles": ("#57606a", "o", 1.6),
-    "virtual lights + clusters": ("#bc5b00", "s", 1.6),
-    "gather + clusters": ("#0b63b5", "D", 1.6),
-    "gather + eigenpanes": ("#00795a", "o", 2.8),
+    "The paper's method": ("#bc5b00", "s", 1.6),
+    "The paper's panes, our gather": ("#0b63b5", "D", 1.6),
+    "Lightpanes": ("#00795a", "o", 2.8),
 }
 """Colour, marker and width of each method's line."""
 

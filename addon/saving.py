@@ -9,6 +9,7 @@ import bpy
 
 from ..core.scene import SceneError
 from . import store
+from .animation import RELATIVE
 
 ROLES = (store.IRRADIANCE, store.DIRECT, store.ALBEDO)
 
@@ -45,7 +46,10 @@ class LIGHTPANES_OT_save_images(bpy.types.Operator):
     bl_options = {"REGISTER"}
 
     directory: bpy.props.StringProperty(
-        name="Folder", description="Where the images go; empty is beside the .blend", subtype="DIR_PATH"
+        name="Folder",
+        description="Where the images go; empty is beside the .blend",
+        subtype="DIR_PATH",
+        options=RELATIVE,
     )
 
     @classmethod

@@ -88,3 +88,23 @@ def build(folder: Path, python: str) -> Path:
         raise RuntimeError(built.stdout + built.stderr)
     [made] = folder.glob("*.zip")
     return made
+
+
+def cut_pictures(folder: Path, found: dict, target: Path) -> None:
+    """What README and manual show: the viewport before and after, and the panel at three moments."""
+    import matplotlib.pyplot as plt
+    import numpy as np
+
+    def cut(name, box):
+        x, y, width, height = box
+        return plt.imread(folder / f"{name}.png")[y : y + height, x : x + width, :3]
+
+    x, y, width, height = found["view"]
+    for name in ("before", "after"):
+        # without the line that is the camera's frame
+        plt.imsave(target / f"{name}.png", cut(name, (x + 3, y + 3, width - 6, height - 6)))
+    for name in ("preflight", "progress", "baked"):
+        part = cut(name, found["panel"])
+        # down to where the editor is empty
+        filled = np.flatnonzero(np.ptp(part[:-8, 60:-20], axis=1).max(axis=1) > 0.05)
+        plt.imsave(target / f"{name}.png", part[: filled.max() + 12])
