@@ -25,7 +25,7 @@ from . import atlas, baking, lamps, methods, reference, relight, store
 from .extract import extract
 
 RESOLUTION = 256
-"""Texels a side, as in a bake; the chart then takes some four minutes on two cores."""
+"""Texels a side, as in a bake."""
 
 CYCLES_SPP = (1, 4, 16, 48, 96)
 REFERENCE_SPP = {"far": 96, "near": 256}
@@ -54,10 +54,10 @@ ROUNDS = 3
 """Times that a curve's bakes are made, all in turn each time. The best time of each counts: whatever else the machine
 does can only add to it."""
 
-LONG = 5.0
+LONG = 10.0
 """s from which a bake of a way is made once: over so long what else the machine does evens out."""
 
-TURNS = 4
+TURNS = 12
 """Times that each lamp position is relit after a bake, where the best counts too. No two in a row are the same, so
 nothing is reused."""
 
@@ -123,7 +123,7 @@ def measure(
 class Steps:
     """Progress over steps whose cost is known before, in units of about a second."""
 
-    TOTAL = 320
+    TOTAL = 280
 
     def __init__(self, progress):
         self.progress = progress

@@ -160,7 +160,7 @@ def _place(axes, text, points, size, weight, taken, boxes, box):
     width, height = extent.width, extent.height
     best, least = None, np.inf
     for x, y in points:
-        for gap in (9, 16, 26):
+        for gap in (9, 16, 26, 40):
             for dx, dy, dislike in (
                 (gap, -height / 2, 0), (gap, gap, 1), (gap, -height - gap, 1), (-width / 2, gap, 1), (-width / 2, -height - gap, 1),
                 (-width - gap, -height / 2, 0), (-width - gap, gap, 1), (-width - gap, -height - gap, 1),

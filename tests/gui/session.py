@@ -210,7 +210,8 @@ def panel_shot(name, end=False):
         yield 1.5
     shot(name)
     if end:
-        xdotool(*(4 if word == 5 else word for word in wheel))
+        # away again, so that no tooltip shows
+        xdotool(*(4 if word == 5 else word for word in wheel), "mousemove", x + width // 2, 5)
         yield 1.5
     space.search_filter = "Lightpanes"
     yield 1.0

@@ -100,9 +100,11 @@ def cut_pictures(folder: Path, found: dict, target: Path) -> None:
         return plt.imread(folder / f"{name}.png")[y : y + height, x : x + width, :3]
 
     x, y, width, height = found["view"]
-    for name in ("before", "after"):
-        # without the line that is the camera's frame
-        plt.imsave(target / f"{name}.png", cut(name, (x + 3, y + 3, width - 6, height - 6)))
+    views = {name: cut(name, (x + 3, y + 3, width - 6, height - 6)) for name in ("before", "after")}
+    # without the black beside the room
+    seen = np.flatnonzero(np.median(views["before"].max(axis=2), axis=0) > 0.05)
+    for name, view in views.items():
+        plt.imsave(target / f"{name}.png", view[:, seen[0] : seen[-1] + 1])
     for name in ("preflight", "progress", "baked"):
         part = cut(name, found["panel"])
         # down to where the editor is empty
