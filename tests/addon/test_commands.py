@@ -68,6 +68,14 @@ def test_report_on_the_terminal_is_json_and_nothing_else(file, capsys):
     assert said["stale"] == [] and said["error"] > 0
 
 
+def test_a_bake_without_points_is_told_of_before_their_picture_is_refused(file, capsys):
+    assert commands.main(bake_words(file)) == 0
+    capsys.readouterr()
+    assert commands.main(["info", "--points", str(file.with_name("room_lightpanes.blend"))]) == 2
+    said = capsys.readouterr()
+    assert said.out.count("Baked in") == 1 and "--exits points" in said.err
+
+
 def test_relight(file, tmp_path):
     assert commands.main(bake_words(file)) == 0
     baked = file.with_name("room_lightpanes.blend")
