@@ -17,9 +17,6 @@ from .console import ConsoleProgress
 SLICE = 0.1
 """Seconds of work between two looks at the keyboard."""
 
-# Blender warns of `//` in a path that does not say that it takes it; before 4.5 it knows no such saying.
-RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5) else set()
-
 # The steps that a window works through. They belong to the operator and go with it, whatever ends it.
 _steps = None
 _fraction = 0.0
@@ -46,7 +43,7 @@ class LIGHTPANES_OT_bake_animation(bpy.types.Operator):
         description="Where the images go; // is the folder of the .blend",
         subtype="DIR_PATH",
         default=f"//{sequence.FOLDER}/",
-        options=RELATIVE,
+        options=saving.RELATIVE,
     )
     frame_start: IntProperty(name="Start", description="First frame; the scene's if not given", options={"SKIP_SAVE"})
     frame_end: IntProperty(name="End", description="Last frame; the scene's if not given", options={"SKIP_SAVE"})

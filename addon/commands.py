@@ -108,7 +108,8 @@ def _parser(opened: bool) -> argparse.ArgumentParser:
         nargs="?",
         const=KINDS[0],
         choices=KINDS,
-        help="also draw the points that hold the light, coloured by this (radius), into FILE_points.png",
+        help="also draw the points of a bake that gathered at points (--exits points), coloured by this (radius), into "
+        "FILE_points.png",
     )
     return parser
 

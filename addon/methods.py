@@ -114,9 +114,9 @@ def virtual_lights(scene: Scene, settings: Settings, tick: Tick, part: np.ndarra
 
 
 METHODS: dict[str, Callable[[Scene, Settings, Tick], Baked]] = {
-    "virtual lights + clusters": virtual_lights,
-    "gather + clusters": gathered_clusters,
-    "gather + eigenpanes": eigenpanes,
+    "The paper's method": virtual_lights,
+    "The paper's panes, our gather": gathered_clusters,
+    "Lightpanes": eigenpanes,
 }
 
 

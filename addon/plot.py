@@ -13,9 +13,9 @@ from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
 
 STYLE = {
     "Cycles": ("#57606a", "o", 1.6),
-    "virtual lights + clusters": ("#bc5b00", "s", 1.6),
-    "gather + clusters": ("#0b63b5", "D", 1.6),
-    "gather + eigenpanes": ("#00795a", "o", 2.8),
+    "The paper's method": ("#bc5b00", "s", 1.6),
+    "The paper's panes, our gather": ("#0b63b5", "D", 1.6),
+    "Lightpanes": ("#00795a", "o", 2.8),
 }
 """Colour, marker and width of each method's line."""
 
@@ -160,7 +160,7 @@ def _place(axes, text, points, size, weight, taken, boxes, box):
     width, height = extent.width, extent.height
     best, least = None, np.inf
     for x, y in points:
-        for gap in (9, 16, 26):
+        for gap in (9, 16, 26, 40):
             for dx, dy, dislike in (
                 (gap, -height / 2, 0), (gap, gap, 1), (gap, -height - gap, 1), (-width / 2, gap, 1), (-width / 2, -height - gap, 1),
                 (-width - gap, -height / 2, 0), (-width - gap, gap, 1), (-width - gap, -height - gap, 1),

@@ -18,6 +18,8 @@ BY_GROUP = (
     "Also write an image for each group of lamps, for those without one, and for the light that no lamp changes. "
     "Together they are the whole"
 )
+# Blender warns of `//` in a path that does not say that it takes it; before 4.5 it knows no such saying.
+RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5) else set()
 ROLES = (store.IRRADIANCE, store.DIRECT, store.ALBEDO)
 
 
@@ -79,7 +81,10 @@ class LIGHTPANES_OT_save_images(bpy.types.Operator):
     bl_options = {"REGISTER"}
 
     directory: bpy.props.StringProperty(
-        name="Folder", description="Where the images go; empty is beside the .blend", subtype="DIR_PATH"
+        name="Folder",
+        description="Where the images go; empty is beside the .blend",
+        subtype="DIR_PATH",
+        options=RELATIVE,
     )
 
     groups: bpy.props.BoolProperty(name="By Group", description=BY_GROUP)

@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 MANIFEST = "blender_manifest.toml"
 FILES = ("__init__.py", "LICENSE", "README.md")
-FOLDERS = ("addon", "core")
+FOLDERS = ("addon", "core", "docs")
 
 
 def stage(target: Path, platforms: list[str], wheels: list[Path]) -> None:

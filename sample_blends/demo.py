@@ -1,6 +1,6 @@
 """Bake a sample once, relight it for five places of its lamp, and show it beside Cycles.
 
-python sample_blends/demo.py [--file FILE.blend] [--output DIR] [--samples N] [--size PX]
+python sample_blends/demo.py [--file FILE.blend] [--output DIR] [--error E] [--samples N] [--size PX]
 """
 
 from __future__ import annotations
@@ -44,6 +44,8 @@ def main() -> int:
         with _quiet():
             bpy.ops.wm.open_mainfile(filepath=str(source), load_ui=False)
             scene = bpy.context.scene
+            if options.error is not None:
+                scene.lightpanes.error_target = options.error
             baked = baking.bake_scene(
                 bpy.context, lambda p: bar(Progress(f"Bake: {p.stage}", BAKE_SHARE * p.fraction, p.rays))
             )
@@ -70,6 +72,7 @@ def _options():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--file", default=HERE / "cornell.blend", help="scene with an animated lamp")
     parser.add_argument("--output", default=HERE.parent / "out" / "demo", help="folder for the results")
+    parser.add_argument("--error", type=float, help="relative error to bake for (the scene's own setting)")
     parser.add_argument("--samples", type=int, default=64, help="Cycles samples per pixel of the reference")
     parser.add_argument("--size", type=int, default=320, help="width of a panel in pixels")
     return parser.parse_args()

@@ -3,6 +3,7 @@
 import ast
 import os
 import platform
+import re
 import subprocess
 import sys
 import textwrap
@@ -112,9 +113,18 @@ def names(archive):
 def test_the_zip_holds_what_belongs(archive):
     assert archive.name == f"lightpanes-{lightpanes.__version__}-{PLATFORM.replace('-', '_')}.zip"
     sources = {path.relative_to(ROOT).as_posix() for part in ("addon", "core") for path in (ROOT / part).rglob("*.py")}
+    sources |= {path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").iterdir()}
     [wheel] = {name for name in names(archive) if name.endswith(".whl")}
     assert names(archive) == sources | {"__init__.py", "blender_manifest.toml", "LICENSE", "README.md", wheel}
     assert wheel.startswith("wheels/embreex-") and f"-cp{PYTHON.replace('.', '')}-" in wheel
+
+
+def test_links_of_readme_and_manual_lead_to_files_in_the_zip(archive):
+    for page in ("README.md", "docs/manual.md"):
+        links = re.findall(r"\]\((?!https?:)([^)#]+)\)", read(archive, page))
+        assert links
+        for link in links:
+            assert (Path(page).parent / link).as_posix() in names(archive), f"{page}: {link}"
 
 
 def test_the_wheel_is_unmodified(archive, tmp_path):

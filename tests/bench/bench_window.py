@@ -9,7 +9,6 @@ from pathlib import Path
 
 import bpy
 import lightpanes
-import matplotlib.pyplot as plt
 from lightpanes.addon import job
 
 from ..gui import window
@@ -58,7 +57,6 @@ def window_rows() -> Iterator[dict]:
         folder = Path(folder)
         archive = window.build(folder, window.python_of_blender(folder))
         found = window.session(folder, archive, SAMPLE, RESOLUTION)
-        cut_pictures(folder, found, harness.OUT)
     redraw = found["stalls"]["no bake"][""]
     yield harness.row(f"window, {SAMPLE}: gap of the main thread without a bake, redraws alone", 1000 * redraw, unit="ms")  # fmt: skip
     gaps = [(gap, stage) for name, part in found["stalls"].items() if name != "no bake" for stage, gap in part.items()]
@@ -67,13 +65,3 @@ def window_rows() -> Iterator[dict]:
         label = {"worker": "longest stall while the worker runs", "main": "longest step on the main thread"}[kind]
         yield harness.row(f"window, {SAMPLE}: {label}", 1000 * gap, 1000 * bar, "ms", detail=f"{stage}; redraws included")  # fmt: skip
     yield harness.row(f"window, {SAMPLE}: from Esc to a free interface", max(found["ends"]), 0.5, "s", detail=f"{len(found['ends'])} bakes")  # fmt: skip
-
-
-def cut_pictures(folder: Path, found: dict, target: Path) -> None:
-    """What the manual shows: the middle of the viewport before and after, and the panel while a bake runs."""
-    x, y, width, height = found["view"]
-    left = x + (width - height) // 2
-    view = slice(y, y + height), slice(left, left + height)
-    panel = slice(y + height // 3, None), slice(x + width, None)
-    for name, part in (("before", view), ("after", view), ("progress", panel)):
-        plt.imsave(target / f"window_{name}.png", plt.imread(folder / f"{name}.png")[*part, :3])

@@ -14,10 +14,15 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from bpy_extras import view3d_utils
 
 OUT = Path(os.environ["LIGHTPANES_OUT"])
 FILE = os.environ["LIGHTPANES_FILE"]
 RESOLUTION = int(os.environ["LIGHTPANES_RESOLUTION"])
+PLACES = {"cornell": (0.4, -0.9, 2.2)}
+"""Where the lamp begins, in samples where the pictures of the manual are made."""
+WIDER, HIGHER = 170, 150
+"""Pixels by which the Properties editor grows, so that all its words fit."""
 TICK = 0.01
 """Seconds between two looks at the main thread, whose gaps are what a person feels as a stall."""
 HEADER = 71, 114, 179
@@ -114,62 +119,170 @@ def press_bake():
     yield from until(job.running, 20)
 
 
+def box_of(part):
+    """Left, top, width and height on the screen of an area or region."""
+    return [part.x, bpy.context.window_manager.windows[0].height - part.y - part.height, part.width, part.height]
+
+
+def drag_border(x, y, right, up):
+    """Take the border between two areas that is at this place, in Blender's pixels, and move it."""
+    down = bpy.context.window_manager.windows[0].height - y
+    xdotool(
+        *("mousemove", x, down, "sleep", 0.4, "mousedown", 1, "sleep", 0.3),
+        *("mousemove", x + right // 2, down - up // 2, "sleep", 0.3),
+        *("mousemove", x + right, down - up, "sleep", 0.3, "mouseup", 1),
+    )
+    yield 2.5
+
+
+def hide_other_panels():
+    """Leave our panels and the choice of the engine in Properties > Render: the others are longer than the screen."""
+    classes = [cls for cls in bpy.types.Panel.__subclasses__() if getattr(cls, "bl_context", "") == "render"]
+    others = [cls for cls in classes if not cls.__name__.startswith(("LIGHTPANES", "RENDER_PT_context"))]
+    while others:
+        parents = {getattr(cls, "bl_parent_id", "") for cls in others}
+        leaves = [cls for cls in others if getattr(cls, "bl_idname", cls.__name__) not in parents]
+        for cls in leaves:
+            bpy.utils.unregister_class(cls)
+        others = [cls for cls in others if cls not in leaves]
+
+
+def clean(space):
+    """Show the render and the lamp in a viewport, and nothing else."""
+    for name in ("header", "tool_header", "toolbar", "ui", "hud"):
+        setattr(space, f"show_region_{name}", False)
+    space.show_gizmo = False
+    overlay = space.overlay
+    for name in ("floor", "ortho_grid", "axis_x", "axis_y", "cursor", "text", "stats", "relationship_lines"):
+        setattr(overlay, f"show_{name}", False)
+    space.region_3d.view_perspective = "CAMERA"
+
+
+def frame_of(view):
+    """Left, top, width and height on the screen of what the camera sees, in a viewport that looks through it."""
+    scene, inside = bpy.context.scene, region(view)
+    camera = scene.camera
+    corners = [
+        view3d_utils.location_3d_to_region_2d(inside, view.spaces[0].region_3d, camera.matrix_world @ corner)
+        for corner in camera.data.view_frame(scene=scene)
+    ]
+    left, right = (round(pick(c.x for c in corners)) for pick in (min, max))
+    low, high = (round(pick(c.y for c in corners)) for pick in (min, max))
+    left, low = max(left, 0), max(low, 0)
+    right, high = min(right, inside.width), min(high, inside.height)
+    x, y, _, height = box_of(inside)
+    return [x + left, y + height - high, right - left, high - low]
+
+
+class obstacles:
+    """While it lasts the scene has what stands in the way of many a bake."""
+
+    def __init__(self, scene):
+        self.scene = scene
+
+    def __enter__(self):
+        self.scene.eevee.use_raytracing = True
+        self.former, self.scene.world = self.scene.world, bpy.data.worlds.new("Grey Sky")
+        curve = bpy.data.curves.new("Cable", "CURVE")
+        curve.bevel_depth = 0.02
+        spline = curve.splines.new("POLY")
+        spline.points.add(1)
+        spline.points[1].co = (0, 0, 1, 1)
+        self.cable = bpy.data.objects.new("Cable", curve)
+        self.scene.collection.objects.link(self.cable)
+
+    def __exit__(self, *_):
+        bpy.data.objects.remove(self.cable)
+        bpy.data.worlds.remove(self.scene.world)
+        self.scene.world = self.former
+        self.scene.eevee.use_raytracing = False
+
+
+def panel_shot(name, end=False):
+    """A picture of the panel as it is without a search. end: of its lower end."""
+    space, inside = area("PROPERTIES").spaces[0], region(area("PROPERTIES"))
+    space.search_filter = ""
+    yield 1.5
+    x, y, width, height = box_of(inside)
+    wheel = ["mousemove", x + width // 2, y + height // 2, *["click", 5] * 20, "sleep", 0.5]
+    if end:
+        xdotool(*wheel)
+        yield 1.5
+    shot(name)
+    if end:
+        # away again, so that no tooltip shows
+        xdotool(*(4 if word == 5 else word for word in wheel), "mousemove", x + width // 2, 5)
+        yield 1.5
+    space.search_filter = "Lightpanes"
+    yield 1.0
+
+
 def steps():
     job, store = module("addon.job"), module("addon.store")
     scene = bpy.context.scene
     panel, view = area("PROPERTIES"), area("VIEW_3D")
+    hide_other_panels()
+    yield from drag_border(panel.x - 1, panel.y + panel.height // 2, -WIDER, 0)
+    yield from drag_border(panel.x + panel.width // 2, panel.y + panel.height, 0, HIGHER)
     panel.spaces[0].context = "RENDER"
     panel.spaces[0].search_filter = "Lightpanes"
     scene.lightpanes.resolution = RESOLUTION
+    scene.render.engine = "BLENDER_EEVEE" if bpy.app.version >= (5, 0) else "BLENDER_EEVEE_NEXT"
+    scene.view_settings.exposure -= 0.4
+    lamp = next(item for item in scene.objects if item.type == "LIGHT")
+    if place := PLACES.get(Path(FILE).stem):
+        lamp.animation_data_clear()
+        lamp.location = place
     space = view.spaces[0]
-    space.region_3d.view_perspective = "CAMERA"
-    space.overlay.show_overlays = False
+    clean(space)
+    bpy.ops.object.select_all(action="DESELECT")
+    lamp.select_set(True)
+    bpy.context.view_layer.objects.active = lamp
     bpy.ops.ed.undo_push(message="Set up")
+    yield 1.0
+    with bpy.context.temp_override(window=bpy.context.window_manager.windows[0], area=view, region=region(view)):
+        bpy.ops.view3d.view_center_camera()
     yield 0.5
+    found["panel"], found["view"] = box_of(panel), frame_of(view)
+    with obstacles(scene):
+        yield from panel_shot("preflight")
+    bpy.ops.ed.undo_push(message="Set up")
+    yield 1.0
     yield from still("no bake")
-    shot("start")
 
     watch = Watch("bake")
     bpy.app.timers.register(watch)
     yield from press_bake()
-    yield from until(lambda: job.current().ended or job.current().progress.fraction > 0.2)
+    panel.spaces[0].search_filter = ""
+    yield from until(lambda: job.current().ended or job.current().progress.fraction > 0.5)
     assert not job.current().error, job.current().error
     shot("progress")
+    panel.spaces[0].search_filter = "Lightpanes"
     yield from until(lambda: not job.running(), 300)
     bpy.app.timers.unregister(watch)
     found["report"] = {k: v for k, v in job.current().report.items() if isinstance(v, (int, float, str))}
     yield 0.5
-    shot("baked")
+    yield from panel_shot("baked", end=True)
 
     space.shading.type = "RENDERED"
-    scene.render.engine = "BLENDER_EEVEE" if bpy.app.version >= (5, 0) else "BLENDER_EEVEE_NEXT"
-    yield 25.0
+    yield 45.0
     shot("before")
-    lamp = next(item for item in scene.objects if item.type == "LIGHT")
-    bpy.ops.object.select_all(action="DESELECT")
-    lamp.select_set(True)
-    bpy.context.view_layer.objects.active = lamp
     pixels = store.find_image(scene, store.IRRADIANCE).pixels[:]
     where = tuple(lamp.matrix_world.translation)
     middle = point(view, region(view).width * 0.5, region(view).height * 0.5)
     xdotool("mousemove", *middle, "sleep", 0.3, "key", "g", "sleep", 0.5)
     yield 1.5
     for k in range(1, 9):
-        xdotool("mousemove", middle[0] - 12 * k, middle[1] + 4 * k)
+        xdotool("mousemove", middle[0] - 30 * k, middle[1] + 15 * k)
         yield 0.4
     xdotool("click", 1)
-    yield 8.0
+    yield 25.0
     shot("after")
     found["moved"] = (lamp.matrix_world.translation - __import__("mathutils").Vector(where)).length
     found["relit"] = store.find_image(scene, store.IRRADIANCE).pixels[:] != pixels
     found["relight_ms"] = module("addon.relight").session(scene).milliseconds
-    box = region(view)
-    height = bpy.context.window_manager.windows[0].height
-    found["view"] = [box.x, height - box.y - box.height, box.width, box.height]
 
     space.shading.type = "SOLID"
-    # whose panels leave ours on the screen
-    scene.render.engine = "CYCLES"
     scene.lightpanes.seed = 3
     yield 1.0
     for stage in ("Transport", "Exits"):
@@ -186,14 +299,6 @@ def steps():
         assert store.bake_key(scene) == key and job.current().report is None
         yield 0.5
     shot("cancelled")
-
-    view.type = "PROPERTIES"
-    view.spaces[0].context = "RENDER"
-    view.spaces[0].search_filter = "Lightpanes"
-    yield 2.0
-    shot("panel")
-    view.type = "VIEW_3D"
-    yield 1.0
 
 
 def drive(generator):

@@ -88,3 +88,25 @@ def build(folder: Path, python: str) -> Path:
         raise RuntimeError(built.stdout + built.stderr)
     [made] = folder.glob("*.zip")
     return made
+
+
+def cut_pictures(folder: Path, found: dict, target: Path) -> None:
+    """What README and manual show: the viewport before and after, and the panel at three moments."""
+    import matplotlib.pyplot as plt
+    import numpy as np
+
+    def cut(name, box):
+        x, y, width, height = box
+        return plt.imread(folder / f"{name}.png")[y : y + height, x : x + width, :3]
+
+    x, y, width, height = found["view"]
+    views = {name: cut(name, (x + 3, y + 3, width - 6, height - 6)) for name in ("before", "after")}
+    # without the black beside the room
+    seen = np.flatnonzero(np.median(views["before"].max(axis=2), axis=0) > 0.05)
+    for name, view in views.items():
+        plt.imsave(target / f"{name}.png", view[:, seen[0] : seen[-1] + 1])
+    for name in ("preflight", "progress", "baked"):
+        part = cut(name, found["panel"])
+        # down to where the editor is empty
+        filled = np.flatnonzero(np.ptp(part[:-8, 60:-20], axis=1).max(axis=1) > 0.05)
+        plt.imsave(target / f"{name}.png", part[: filled.max() + 12])

@@ -1,0 +1,22 @@
+"""README's Python example runs as it is printed, and its room is lit as a closed form says."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+README = Path(__file__).resolve().parents[2] / "README.md"
+
+
+def test_the_python_example_runs_as_printed(tmp_path, monkeypatch, capsys):
+    [code] = re.findall(r"^```python\n(.*?)^```", README.read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec(compile(code, README.name, "exec"), names)
+    assert (tmp_path / "room.npz").exists()
+    assert capsys.readouterr().out.startswith("error 0.0")
+    baked, image, lamp = names["baked"], names["image"], names["lamp"]
+    assert image.shape == (128, 128, 4) and image.dtype == np.float32
+    assert baked.report["error"] < 0.1 and not baked.report["warnings"]
+    # whatever the lamp's place, its power meets the walls: bounces are P / A × ρ / (1 − ρ) in all
+    assert np.isclose(image[baked.own][:, :3].mean(), lamp.power[0] / 24 * 0.8 / 0.2, rtol=0.03)
