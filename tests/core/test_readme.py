@@ -8,8 +8,12 @@ import numpy as np
 README = Path(__file__).resolve().parents[2] / "README.md"
 
 
+def examples() -> list[str]:
+    return re.findall(r"^```python\n(.*?)^```", README.read_text("utf-8"), re.MULTILINE | re.DOTALL)
+
+
 def test_the_python_example_runs_as_printed(tmp_path, monkeypatch, capsys):
-    [code] = re.findall(r"^```python\n(.*?)^```", README.read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    code, _ = examples()
     monkeypatch.chdir(tmp_path)
     names = {}
     exec(compile(code, README.name, "exec"), names)
@@ -20,3 +24,14 @@ def test_the_python_example_runs_as_printed(tmp_path, monkeypatch, capsys):
     assert baked.report["error"] < 0.1 and not baked.report["warnings"]
     # whatever the lamp's place, its power meets the walls: bounces are P / A × ρ / (1 − ρ) in all
     assert np.isclose(image[baked.own][:, :3].mean(), lamp.power[0] / 24 * 0.8 / 0.2, rtol=0.03)
+
+
+def test_the_example_of_penumbrae_runs_as_printed(capsys):
+    _, code = examples()
+    names = {}
+    exec(compile(code, README.name, "exec"), names)
+    seen, place = names["masks"].seen(), names["place"]
+    # the sheet is half as high as the lamp and half as wide, and twice as wide as its umbra on the floor
+    assert (seen[np.abs(place[:, 0]) < 0.5] == 0).all() and (seen[np.abs(place[:, 0]) > 1.5] == 1).all()
+    assert np.isclose(np.interp(0.75, place[:, 0], seen), 0.25, atol=0.3)
+    assert capsys.readouterr().out.count("]") == 2
