@@ -172,7 +172,8 @@ def sample_map(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
 class Tracer:
     """Shadow rays of a scene.
 
-    offset: m; lift origins off their surface by this much along the geometric normal.
+    offset: m; lift origins off their surface by this much along the geometric normal. solid_corners: (n, 3, 3) float32,
+    m, the opaque triangles that cast shadows; glass_corners: those that let some light straight through.
     """
 
     def __init__(self, scene: Scene, threads: int | None = None):
@@ -181,9 +182,11 @@ class Tracer:
         self.transmission = Transmission(scene)
         see_through = self.transmission.see_through
         corners = scene.positions[scene.triangles]
-        self._solid = Bvh(corners[casts & ~see_through])
+        self.solid_corners = corners[casts & ~see_through]
+        self._solid = Bvh(self.solid_corners)
         self._panes_of_glass = np.flatnonzero(casts & see_through)
-        self._glass = Bvh(corners[self._panes_of_glass])
+        self.glass_corners = corners[self._panes_of_glass]
+        self._glass = Bvh(self.glass_corners)
         # float32 steps grow with the distance from the origin, lifts must exceed them
         reach = float(np.abs(scene.positions).max(initial=0.0))
         self.offset = max(2e-5 * scene.extent, 4e-7 * reach)
@@ -193,6 +196,19 @@ class Tracer:
         single = copy.copy(self)
         single.threads = 1
         return single
+
+    @property
+    def has_glass(self) -> bool:
+        """Whether any surface lets light straight through."""
+        return bool(self._glass.size)
+
+    def blocked(self, origins: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+        """(n,) bool: whether anything opaque stands on open segments, (n, 3) float32 each; on the calling thread."""
+        return _occluded(self._solid, origins, vectors)
+
+    def meets_glass(self, origins: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+        """(n,) bool: whether anything see-through stands there, as `blocked`."""
+        return _occluded(self._glass, origins, vectors)
 
     def visibility(self, origins: np.ndarray, vectors: np.ndarray) -> np.ndarray:
         """Part of the light that passes along open segments origins + t · vectors, 0 < t < 1.
@@ -227,6 +243,12 @@ class Tracer:
             alive, start, rest = alive[more], start[more], rest[more]
         passed[alive] = 0
         return passed if self.transmission.tinted else passed.mean(axis=1)
+
+
+def _occluded(bvh, origins, vectors):
+    if len(origins) <= CHUNK:
+        return bvh.occluded(origins, vectors)
+    return np.concatenate([bvh.occluded(origins[s], vectors[s]) for s in chunks(len(origins))])
 
 
 def _step_on(start, vectors, distance, offset):
