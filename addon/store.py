@@ -23,6 +23,8 @@ ENTRIES = "Lightpanes Entries"
 POINTS = "Lightpanes Points"
 IRRADIANCE = "Lightpanes Irradiance"
 DIRECT = "Lightpanes Direct"
+# What `Lightpanes Direct` holds without the lamps; there while their light is in it, too.
+STEADY = "Lightpanes Direct Steady"
 ALBEDO = "Lightpanes Albedo"
 
 # Custom properties. TAG marks every data-block that is ours to delete; it holds the data-block's role. It is not
@@ -59,11 +61,11 @@ def store_bake(scene: bpy.types.Scene, bake: Bake, albedo: np.ndarray | None = N
     try:
         images = {role: _write_array(role, array, made) for role, array in bake.images.items()}
         size = (bake.resolution, bake.resolution)
-        images[IRRADIANCE] = _write_pixels(IRRADIANCE, _opaque(np.zeros((*size, 3), np.float32)), made)
+        images[IRRADIANCE] = _write_pixels(IRRADIANCE, opaque(np.zeros((*size, 3), np.float32)), made)
         if bake.direct is not None:
-            images[DIRECT] = _write_pixels(DIRECT, _opaque(bake.direct), made)
+            images[DIRECT] = _write_pixels(DIRECT, opaque(bake.direct), made)
         if albedo is not None:
-            images[ALBEDO] = _write_pixels(ALBEDO, _opaque(albedo), made)
+            images[ALBEDO] = _write_pixels(ALBEDO, opaque(albedo), made)
         points, specs = _write_points(bake, made)
         entries = _write_entries(bake, images, points, specs, made)
         collection = _collection(scene)
@@ -100,7 +102,8 @@ def load_bake(scene: bpy.types.Scene) -> Bake | None:
         points = _read_points(mesh, layout.get("points", {}))
         stored = mesh[IMAGES]
         images = {role: _read_array(stored[role], role) for role in layout["images"]}
-        direct = _read_array(stored[DIRECT], DIRECT)[..., :3].copy() if layout["direct"] else None
+        role = STEADY if STEADY in stored else DIRECT
+        direct = _read_array(stored[role], role)[..., :3].copy() if layout["direct"] else None
         resolution = int(layout["resolution"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise SceneError(f"The bake in scene '{scene.name}' is damaged ({error}); bake again.") from error
@@ -128,6 +131,40 @@ def find_image(scene: bpy.types.Scene, role: str) -> bpy.types.Image | None:
     return images.get(role) if images is not None else None
 
 
+def add_image(scene: bpy.types.Scene, role: str, pixels: np.ndarray) -> bpy.types.Image:
+    """Give the scene's bake one more image, (H, W, 4) float32."""
+    image = _write_pixels(role, pixels, [])
+    find_entries(scene).data[IMAGES][role] = image
+    return image
+
+
+def drop_image(scene: bpy.types.Scene, role: str) -> None:
+    """Take an image out of the scene's bake and delete it; none does no harm."""
+    image, images = find_image(scene, role), find_entries(scene).data[IMAGES]
+    if role in images:
+        del images[role]
+    if image is not None:
+        _remove([image])
+
+
+def read_image(scene: bpy.types.Scene, role: str) -> np.ndarray | None:
+    """(H, W, 4) float32 that an image of the bake shows, None without it."""
+    image = find_image(scene, role)
+    if image is None:
+        return None
+    if not image.has_data:
+        image.pixels[0]  # reads the packed file
+    width, height = image.size
+    pixels = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(pixels)
+    return pixels.reshape(height, width, 4)
+
+
+def holds_direct(scene: bpy.types.Scene) -> bool:
+    """Whether sky or emissive faces gave the scene's bake direct light."""
+    return bool(json.loads(find_entries(scene).data[LAYOUT])["direct"])
+
+
 def read_meta(scene: bpy.types.Scene) -> dict | None:
     """`bake.meta` without reading the rest; None without a bake."""
     entries = find_entries(scene)
@@ -152,9 +189,14 @@ def bake_key(scene: bpy.types.Scene) -> str | None:
 
 def write_irradiance(scene: bpy.types.Scene, pixels: np.ndarray) -> None:
     """Show `pixels`, (H, W, 4) float32, in the scene's `Lightpanes Irradiance`."""
-    image = find_image(scene, IRRADIANCE)
+    write_image(scene, IRRADIANCE, pixels)
+
+
+def write_image(scene: bpy.types.Scene, role: str, pixels: np.ndarray) -> None:
+    """Show `pixels`, (H, W, 4) float32, in an image of the bake; whoever draws it is told."""
+    image = find_image(scene, role)
     if image is None:
-        raise SceneError(f"The image '{IRRADIANCE}' has been deleted; bake again.")
+        raise SceneError(f"The image '{role}' has been deleted; bake again.")
     height, width = pixels.shape[:2]
     cycles = scene.render.engine == "CYCLES"
     if cycles:
@@ -190,7 +232,8 @@ def clear(scene: bpy.types.Scene) -> bool:
     return True
 
 
-def _opaque(rgb: np.ndarray) -> np.ndarray:
+def opaque(rgb: np.ndarray) -> np.ndarray:
+    """(H, W, 4) float32 of (H, W, 3), alpha 1."""
     return np.concatenate([rgb[..., :3].astype(np.float32), np.ones((*rgb.shape[:2], 1), np.float32)], axis=2)
 
 
