@@ -16,7 +16,7 @@ from ..core.bake import Cancelled, Kept, Progress, Settings, bake
 from ..core.panes import Relighter
 from ..core.rays import Tracer
 from ..core.scene import SceneError
-from . import atlas, extract, nodes, points, relight, store, twice, vertices
+from . import atlas, direct, extract, lamps, linking, nodes, points, relight, store, twice, vertices
 from .preflight import check as preflight
 from .snapshot import Snapshot
 from .work import Work, mapped, run
@@ -79,10 +79,11 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
             progress(Progress(now.stage, READ + (BAKED - READ) * now.fraction, now.rays, now.error, now.seconds_left))
 
         result = bake(surfaces, settings, told, kept)
-        return result, Relighter(result.panes(), Tracer(surfaces))
+        tracer = Tracer(surfaces)
+        return result, Relighter(result.panes(), tracer), tracer
 
     del scene, asked, objects, at_vertices
-    result, relighter = yield Work(work, alone=True)
+    result, relighter, tracer = yield Work(work, alone=True)
     scene = context.scene
     yield Progress("Storing", BAKED, result.meta["report"]["rays"])
     edited = planned.edited()
@@ -91,7 +92,9 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
     now = extract.fingerprint(context)
     report = result.meta["report"]
     report["warnings"] = warnings + [w for w in report.get("warnings", []) if w not in warnings]
-    result.meta["static"] = {lamp.name: relight.lamp_key([lamp]) for lamp in surfaces.lights if not lamp.live}
+    still = [lamp for lamp in surfaces.lights if not lamp.live]
+    result.meta["static"] = {lamp.name: lamps.lamp_key([lamp]) for lamp in still}
+    result.meta["static_lamps"] = [lamps.to_json(lamp) for lamp in still]
     points.remember(result, surfaces)
     yield Progress("Storing", 0.98, report["rays"])
     # again: undo may have brought back an older one
@@ -105,7 +108,7 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         raise
     with relight.paused():
         vertices.keep(context, surfaces, loops)
-        relight.adopt(scene, relighter)
+        relight.adopt(scene, relighter, surfaces, tracer)
         report["warnings"] += nodes.attach(context, surfaces)
         # after attaching, which may give materials to objects that have none; but what changed meanwhile is stale
         late = {name: found.get(name, "") for name in extract.changed_objects(found, now) if name in found}
@@ -115,6 +118,9 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         # too late: the new bake is in place
         yield Progress("Storing", 0.99, report["rays"])
     report["relight_ms"] = round(relight.relight(context), 2)
+    if direct.is_baked(scene):
+        report["direct_ms"] = round(direct.held(scene).milliseconds, 2)
+        report["warnings"] += direct.sentences(scene)
     report["total_seconds"] = round(time.perf_counter() - start, 3)
     relight.pack()
     store.write_meta(scene, result.meta)
@@ -127,7 +133,9 @@ def clear_scene(context: bpy.types.Context) -> bool:
     scene = context.scene
     nodes.detach(scene)
     twice.give_back(scene)
+    linking.give_back(scene)
     relight.forget(scene)
+    direct.forget(scene)
     found = store.clear(scene)
     _clear_atlas(scene)
     return found

@@ -66,8 +66,8 @@ def detach(scene: bpy.types.Scene) -> None:
 def show_in_cycles(scene: bpy.types.Scene) -> None:
     """Add or remove, as `scene.lightpanes.cycles` says, what shows the bake in Cycles.
 
-    Cycles brings the first hit of sky and emissive faces itself, so `Lightpanes Direct` is left out there, and its
-    own diffuse bounces, which the bake replaces, are switched off.
+    Cycles brings the first hit of sky and emissive faces itself, so of `Lightpanes Direct` only the lamps' light counts
+    there, and its own diffuse bounces, which the bake replaces, are switched off.
     """
     show = scene.lightpanes.cycles
     for material in bpy.data.materials:
@@ -90,6 +90,24 @@ def show_in_cycles(scene: bpy.types.Scene) -> None:
         _restore_bounces(scene)
 
 
+def rebuild(scene: bpy.types.Scene) -> None:
+    """Make the scene's group anew, in place, after images were added to the bake or taken from it."""
+    group = _group_of(scene)
+    if group is not None:
+        group.nodes.clear()
+        _fill_group(scene, group)
+
+
+def shows(item: bpy.types.Object, scene: bpy.types.Scene) -> bool:
+    """Whether all materials of an object show the scene's bake."""
+    group = _group_of(scene)
+    pairs = [
+        slot.material is not None and slot.material.node_tree is not None and _pair(slot.material.node_tree, "EEVEE")
+        for slot in item.material_slots
+    ]
+    return bool(pairs) and all(pair and pair[0].node_tree == group for pair in pairs)
+
+
 def _restore_bounces(scene):
     cycles = getattr(scene, "cycles", None)
     if cycles is not None and scene.lightpanes.diffuse_bounces >= 0:
@@ -106,7 +124,8 @@ def _is_ours(node) -> bool:
     return NODE_TAG in node
 
 
-def _baked_objects(scene) -> list[bpy.types.Object]:
+def baked_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """Objects that a bake lights, those in collections that the scene instances included."""
     objects, pending = {}, list(scene.objects)
     while pending:
         item = pending.pop()
@@ -122,7 +141,7 @@ def _materials(context, warnings) -> list[bpy.types.Material]:
     """Materials on baked objects, those set by geometry nodes included; empty slots get a default material."""
     depsgraph = context.evaluated_depsgraph_get()
     found: dict[bpy.types.Material, None] = {}
-    for item in sorted(_baked_objects(context.scene), key=lambda item: item.name):
+    for item in sorted(baked_objects(context.scene), key=lambda item: item.name):
         _fill_slots(item, warnings)
         slots = [*item.material_slots, *item.evaluated_get(depsgraph).material_slots]
         for slot in slots:
@@ -322,7 +341,6 @@ def _emits(tree) -> bool:
 
 
 def _make_group(scene) -> bpy.types.NodeTree:
-    """Shader + albedo × (irradiance + direct) / π as emission, on baked objects, seen by the camera or in mirrors."""
     group = bpy.data.node_groups.new(GROUP, "ShaderNodeTree")
     group[store.TAG] = GROUP
     store.find_entries(scene).data[_GROUP] = group
@@ -333,6 +351,15 @@ def _make_group(scene) -> bpy.types.NodeTree:
     for name in ("Albedo Map", "Direct"):
         sockets.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat").default_value = 0.0
     sockets.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
+    _fill_group(scene, group)
+    return group
+
+
+def _fill_group(scene, group):
+    """Shader + albedo × (irradiance + direct) / π as emission, on baked objects, seen by the camera or in mirrors.
+
+    The input Direct is 0 in engines that bring the first hit of sky and emissive faces themselves.
+    """
     build = _Builder(group)
     entrance, end = build.node("NodeGroupInput"), build.node("NodeGroupOutput")
 
@@ -346,8 +373,15 @@ def _make_group(scene) -> bpy.types.NodeTree:
     mapped = entrance.outputs["Albedo Map"]
     direct = store.find_image(scene, store.DIRECT)
     if direct is not None:
-        share = build.vector("MULTIPLY", build.image(direct, place), entrance.outputs["Direct"])
-        light = build.vector("ADD", light, share)
+        shown = build.image(direct, place)
+        steady = store.find_image(scene, store.STEADY)
+        if steady is not None:
+            share = build.math("SUBTRACT", 1.0, entrance.outputs["Direct"])
+            without = build.vector("MULTIPLY", build.image(steady, place), share)
+            shown = build.vector("SUBTRACT", shown, without)
+        elif store.holds_direct(scene):
+            shown = build.vector("MULTIPLY", shown, entrance.outputs["Direct"])
+        light = build.vector("ADD", light, shown)
     if vertices.lit(scene):
         at_vertices = build.attribute(AT_VERTICES).outputs["Fac"]
         light = build.mix(at_vertices, light, build.attribute(vertices.LIGHT, "GEOMETRY").outputs["Color"])
@@ -369,7 +403,6 @@ def _make_group(scene) -> bpy.types.NodeTree:
     group.links.new(entrance.outputs["Shader"], add.inputs[0])
     group.links.new(emission.outputs[0], add.inputs[1])
     group.links.new(add.outputs[0], end.inputs["Shader"])
-    return group
 
 
 class _Builder:

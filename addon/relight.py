@@ -6,10 +6,8 @@ from them is kept in a session per scene and made anew when it is missing, so a 
 
 from __future__ import annotations
 
-import hashlib
 import threading
 import time
-from collections.abc import Iterable
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -17,10 +15,11 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..core.bake import BakeError
-from ..core.panes import Relighter
+from ..core.panes import Panes, Relighter
 from ..core.rays import Tracer
-from ..core.scene import Light, SceneError
-from . import engine, extract, handlers, lamps, meshes, overlay, points, store, vertices, visibility
+from ..core.scene import Light, Scene, SceneError
+from . import direct, engine, extract, handlers, lamps, meshes, overlay, points, store, vertices, visibility
+from .lamps import lamp_key
 
 
 @dataclass
@@ -33,6 +32,9 @@ class Session:
     shown: str = ""  # key of the lamps that the image shows
     last: dict[str, Light] = field(default_factory=dict)  # the lamps that the image shows, by name
     static: dict[str, str] = field(default_factory=dict)  # keys of the lamps that are baked in, by name
+    baked_in: tuple[Light, ...] = ()  # these lamps, as they were baked
+    owners: dict[str, bpy.types.Object] = field(default_factory=dict)  # objects of the lamps last read, by lamp's name
+    read: tuple[Scene, Tracer] | None = None  # surfaces just read, for the direct light
     panes: bool = True  # whether the bake holds any
     stale: tuple[str, ...] = ()
     followed: str = ""  # key of the surfaces where the points are
@@ -69,16 +71,18 @@ def session(scene: bpy.types.Scene) -> Session | None:
 def _begin(scene, key, **more) -> Session:
     meta = store.read_meta(scene) or {}
     panes = "panes" not in meta.get("report", {}).get("skipped", {})
-    return Session(key, static=meta.get("static", {}), panes=panes, **more)
+    baked_in = tuple(lamps.from_json(values) for values in meta.get("static_lamps", ()))
+    return Session(key, static=meta.get("static", {}), baked_in=baked_in, panes=panes, **more)
 
 
 def forget(scene: bpy.types.Scene) -> None:
     _sessions.pop(scene.session_uid, None)
 
 
-def adopt(scene: bpy.types.Scene, relighter: Relighter) -> None:
-    """Use this relighter, just made by a bake, instead of making one from the .blend."""
-    _sessions[scene.session_uid] = _begin(scene, store.bake_key(scene), relighter=relighter)
+def adopt(scene: bpy.types.Scene, relighter: Relighter, surfaces: Scene, tracer: Tracer) -> None:
+    """Use this relighter and what it was made of, just made by a bake, instead of making one from the .blend."""
+    read = (surfaces, tracer) if direct.is_baked(scene) else None
+    _sessions[scene.session_uid] = _begin(scene, store.bake_key(scene), relighter=relighter, read=read)
 
 
 @contextmanager
@@ -89,7 +93,8 @@ def paused():
 
 
 def relight(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph | None = None) -> float:
-    """Bring the scene's `Lightpanes Irradiance` up to date with its lamps; returns milliseconds.
+    """Bring the scene's `Lightpanes Irradiance` up to date with its lamps, and `Lightpanes Direct` where it holds their
+    light; returns milliseconds of the former.
 
     All lamps are read anew, those that stopped being live after the bake included. Raises SceneError when there is no
     bake or when it can't be used.
@@ -102,14 +107,19 @@ def relight(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph | None = 
         if current is None:
             raise SceneError(f"Scene '{scene.name}' has no bake; press Bake first.")
         current.last.clear()
-        _apply(context, scene, current, _read_lights(depsgraph or context.evaluated_depsgraph_get(), current))
+        if direct.is_baked(scene):
+            direct.look_again(scene, extract.fingerprint(context))
+        lights = _read_lights(depsgraph or context.evaluated_depsgraph_get(), current)
+        _apply(context, scene, current, lights)
+        _apply_direct(context, scene, current, lights)
     check_stale(context)
     return current.milliseconds
 
 
-def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Relight if a lamp differs from what the image shows; True when it did.
+def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, at_once: bool = True) -> bool:
+    """Relight if a lamp differs from what the images show; True when it did.
 
+    at_once: the lamps' direct light, too, where it is baked; else that follows soon.
     For handlers: what the user must know goes to the console and into the session, for the panel, once.
     """
     if not scene.lightpanes.live or not _lock.acquire(blocking=False):
@@ -120,17 +130,19 @@ def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
             return False
         lights = _read_lights(depsgraph, current)
         key = lamp_key(lights)
-        if key == current.shown or not engine.ready():
+        changed = key != current.shown
+        if not (changed or direct.is_baked(scene)) or not engine.ready():
             return False
         try:
-            _apply(bpy.context, scene, current, lights)
+            if changed:
+                _apply(bpy.context, scene, current, lights)
+            return _apply_direct(bpy.context, scene, current, lights, at_once) or changed
         except (SceneError, BakeError) as error:
             current.shown = key  # the same lamps would fail the same way
             if current.error != str(error):
                 current.error = str(error)
                 print(f"Lightpanes: {error}")
             return False
-        return True
     finally:
         _lock.release()
 
@@ -145,6 +157,7 @@ def check_stale(context: bpy.types.Context) -> tuple[str, ...]:
     now = extract.fingerprint(context)
     if not extract.changed_objects(meta["fingerprint"], now):
         _read_again(current)
+    direct.look_again(scene, now)
     current.stale = differences(meta["fingerprint"], now) + _follow(context, current, meta, now)
     current.stale += _lamp_changes(current, shining)
     return current.stale
@@ -210,7 +223,8 @@ def _read_lights(depsgraph, current: Session, rendering: bool = False) -> tuple[
     scene = depsgraph.scene.original
     hidden = set() if rendering or not _is_viewport(depsgraph) else _hidden_lamps(scene, depsgraph.view_layer.name)
     lights = []
-    for light in lamps.read_lights(depsgraph, []):
+    current.owners = {}
+    for light in lamps.read_lights(depsgraph, [], current.owners):
         if light.name not in hidden and light.name not in current.static:
             shown = replace(light, live=True)
             lights.append(shown if light.live else current.last.get(light.name, shown))
@@ -225,14 +239,6 @@ def _is_viewport(depsgraph) -> bool:
 def _hidden_lamps(scene, view_layer: str) -> set[str]:
     layer = scene.view_layers[view_layer]
     return {item.name for item in scene.objects if item.type == "LIGHT" and not item.visible_get(view_layer=layer)}
-
-
-def lamp_key(lights: Iterable[Light]) -> str:
-    """Of all that decides the lamps' light, their names included."""
-    digest = hashlib.blake2b(digest_size=12)
-    for light in lights:
-        digest.update(repr((light.name, light.geometry, light.power.tobytes())).encode())
-    return digest.hexdigest()
 
 
 def _apply(context, scene, current: Session, lights):
@@ -252,6 +258,46 @@ def _apply(context, scene, current: Session, lights):
         raise SceneError(" ".join(told))
 
 
+def _apply_direct(context, scene, current: Session, lights, at_once: bool = True) -> bool:
+    """Whether the lamps' direct light is baked and had to change."""
+    if not direct.is_baked(scene):
+        return False
+    asked = direct.ask(scene, lights, current.baked_in, current.owners)
+    return direct.update(context, scene, asked, lambda: surfaces_of(context, current), at_once)
+
+
+def switch_direct(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
+    """After `scene.lightpanes.direct` was set: bring the lamps' direct light into the bake, or take it out."""
+    current = session(scene)
+    if current is None:
+        return
+    if scene.lightpanes.direct == "OFF":
+        with _lock:
+            direct.end(scene)
+    elif scene == context.scene and engine.ready():
+        with _lock:
+            try:
+                lights = _read_lights(context.evaluated_depsgraph_get(), current)
+                _apply_direct(context, scene, current, lights)
+            except (SceneError, BakeError) as error:
+                current.error = str(error)
+                print(f"Lightpanes: {error}")
+    redraw_panel()
+
+
+def surfaces_of(context: bpy.types.Context, current: Session) -> tuple[Panes, Scene, Tracer]:
+    """The bake's panes, and the scene's surfaces as they are now, with their shadow rays.
+
+    Raises SceneError where these can't be used.
+    """
+    panes = relighter_of(context, current).panes
+    read, current.read = current.read, None
+    if read is None:
+        surfaces = extract.extract(context, resolution=panes.resolution, albedo=False)
+        read = surfaces, Tracer(surfaces)
+    return panes, *read
+
+
 def relighter_of(context: bpy.types.Context, current: Session) -> Relighter:
     """The session's relighter, made from the bake and the meshes in the .blend where there is none yet.
 
@@ -265,7 +311,9 @@ def relighter_of(context: bpy.types.Context, current: Session) -> Relighter:
         bake = store.load_bake(scene)
         geometry = extract.extract(context, resolution=bake.resolution, albedo=False)
         current.edited = bool(extract.changed_objects(bake.meta.get("fingerprint", {}), extract.fingerprint(context)))
-        current.relighter = Relighter(bake.panes(), Tracer(geometry))
+        tracer = Tracer(geometry)
+        current.relighter = Relighter(bake.panes(), tracer)
+        current.read = (geometry, tracer) if direct.is_baked(scene) else None
     return current.relighter
 
 
@@ -305,7 +353,7 @@ def _update_later():
     if bpy.app.is_job_running("RENDER"):
         return  # the render's own frame changes relight
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    update(depsgraph.scene.original, depsgraph)
+    update(depsgraph.scene.original, depsgraph, at_once=False)
     redraw_panel()
     overlay.redraw()
 
@@ -313,8 +361,8 @@ def _update_later():
 def _stale_later():
     if not bpy.app.is_job_running("RENDER"):
         check_stale(bpy.context)
-        redraw_panel()
-        overlay.redraw()
+        # the direct light of what has moved
+        _update_later()
 
 
 def redraw_panel() -> None:
@@ -333,6 +381,10 @@ def _on_frame(scene, depsgraph):
 @persistent
 def _on_render(scene, *_):
     """A render shows lamps that the viewport may hide."""
+    if direct.is_baked(scene):
+        with _lock:
+            direct.finish(scene)
+            direct.link(scene)
     if not scene.lightpanes.live or scene != bpy.context.scene:
         return
     with _lock:
@@ -341,8 +393,10 @@ def _on_render(scene, *_):
             return
         try:
             lights = _read_lights(bpy.context.evaluated_depsgraph_get(), current, rendering=True)
-            if lamp_key(lights) != current.shown and engine.ready():
-                _apply(bpy.context, scene, current, lights)
+            if engine.ready():
+                if lamp_key(lights) != current.shown:
+                    _apply(bpy.context, scene, current, lights)
+                _apply_direct(bpy.context, scene, current, lights)
         except (SceneError, BakeError) as error:
             current.error = str(error)
             print(f"Lightpanes: {error}")
@@ -361,16 +415,22 @@ def _on_undo(scene, *_):
         current.shown = current.followed = ""
         _read_again(current)
         current.error = ""
+    direct.undone()
+    if session(scene) is not None and not direct.is_baked(scene):
+        direct.end(scene)
     update(scene, bpy.context.evaluated_depsgraph_get())
 
 
 @persistent
 def _on_load(*_):
     _sessions.clear()
+    direct.stop()
 
 
 @persistent
 def _on_save(*_):
+    for scene in bpy.data.scenes:
+        direct.finish(scene)
     pack()
 
 
@@ -380,6 +440,7 @@ def pack() -> None:
         current, image = session(scene), store.find_image(scene, store.IRRADIANCE)
         if current is not None and image is not None and image.is_dirty:
             image[PACKED] = current.shown
+        direct.note_packed(scene)
     store.pack_dirty()
 
 
@@ -405,4 +466,5 @@ def unregister() -> None:
     for timer in (_update_later, _stale_later):
         if bpy.app.timers.is_registered(timer):
             bpy.app.timers.unregister(timer)
+    direct.stop()
     _sessions.clear()
