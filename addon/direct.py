@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import bpy
@@ -158,12 +158,13 @@ def end(scene: bpy.types.Scene) -> None:
             if key in image:
                 del image[key]
         store.drop_image(scene, store.STEADY)
+        nodes.rebuild(scene)
     elif not store.holds_direct(scene):
         store.drop_image(scene, store.DIRECT)
+        nodes.rebuild(scene)
     elif image.is_dirty:
         # undo took away what was beside the packed pixels, which are what was baked
         image.reload()
-    nodes.rebuild(scene)
 
 
 def ask(
@@ -375,7 +376,7 @@ def _step(scene, mine: Held) -> bool:
         if work.thread.is_alive():
             return True
         mine.work = None
-        if work.atlas is mine.atlas and mine.bake == store.bake_key(scene):
+        if mine.asked is not None and work.atlas is mine.atlas and mine.bake == store.bake_key(scene):
             _take(scene, mine, work)
     if mine.asked is None or mine.atlas is None:
         return False

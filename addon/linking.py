@@ -21,6 +21,10 @@ EEVEE_KNOWS = (4, 3)
 """The first Blender whose EEVEE honours light linking."""
 
 
+# Scenes, by session_uid, whose links stay as they are for now.
+_suspended: set[int] = set()
+
+
 def is_known(engine: str) -> bool:
     """Whether an engine honours light linking in this Blender."""
     return engine == "CYCLES" or (engine in EEVEE and bpy.app.version >= EEVEE_KNOWS)
@@ -45,6 +49,8 @@ def obstacle(lamp: bpy.types.Object) -> str:
 
 def keep_off(scene: bpy.types.Scene, lamps: Iterable[bpy.types.Object], objects: Iterable[bpy.types.Object]) -> None:
     """Let these lamps, and no others of the scene, leave the objects dark. Nothing is touched where that is so."""
+    if scene.session_uid in _suspended:
+        return
     lamps, objects = set(lamps), set(objects)
     if not lamps or not objects:
         give_back(scene)
@@ -74,7 +80,7 @@ def keep_off(scene: bpy.types.Scene, lamps: Iterable[bpy.types.Object], objects:
 def give_back(scene: bpy.types.Scene) -> None:
     """Let all lamps of the scene light everything again."""
     group = scene.lightpanes.receivers
-    if group is None:
+    if group is None or scene.session_uid in _suspended:
         return
     shared = _is_shared(scene, group)
     _release(group, scene if shared else None)
@@ -85,14 +91,16 @@ def give_back(scene: bpy.types.Scene) -> None:
 
 @contextlib.contextmanager
 def suspended(scene: bpy.types.Scene) -> Iterator[None]:
-    """All lamps light everything meanwhile."""
+    """All lamps light everything meanwhile, whatever handlers ask for."""
     group = scene.lightpanes.receivers
     lamps = _linked(group)
+    _suspended.add(scene.session_uid)
     for lamp in lamps:
         lamp.light_linking.receiver_collection = None
     try:
         yield
     finally:
+        _suspended.discard(scene.session_uid)
         for lamp in lamps:
             lamp.light_linking.receiver_collection = group
 

@@ -81,6 +81,7 @@ def forget(scene: bpy.types.Scene) -> None:
 
 def adopt(scene: bpy.types.Scene, relighter: Relighter, surfaces: Scene, tracer: Tracer) -> None:
     """Use this relighter and what it was made of, just made by a bake, instead of making one from the .blend."""
+    direct.forget(scene)
     read = (surfaces, tracer) if direct.is_baked(scene) else None
     _sessions[scene.session_uid] = _begin(scene, store.bake_key(scene), relighter=relighter, read=read)
 
@@ -322,6 +323,8 @@ def _on_update(scene, depsgraph):
     if store.bake_key(scene) is None:
         return
     if bpy.app.background:
+        if direct.is_baked(scene) and any(_may_stale(session(scene), change) for change in depsgraph.updates):
+            direct.look_again(scene, extract.fingerprint(bpy.context))
         update(scene, depsgraph)
         return
     # One relight for all that happens before Blender is idle again.

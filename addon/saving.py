@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 
 from ..core.scene import SceneError
-from . import store
+from . import direct, store
 
 ROLES = (store.IRRADIANCE, store.DIRECT, store.ALBEDO)
 
@@ -19,6 +19,7 @@ def save_images(scene: bpy.types.Scene, folder: Path) -> list[Path]:
     Each is written under another name first, so that an existing file stays whole whatever happens. Raises SceneError,
     naming the file, when it can't be written, or when there is no bake.
     """
+    direct.finish(scene)
     images = [image for role in ROLES if (image := store.find_image(scene, role)) is not None]
     if not images:
         raise SceneError(f"Scene '{scene.name}' has no bake; press Bake first.")

@@ -107,9 +107,7 @@ def columned_room() -> Stage:
         for y in (-2.2, 0.4, 2.2):
             shapes.append(column((x, y, 0), 0.25, 3.4, 12))
     for y in (-2.2, 0.4, 2.2):
-        shapes.append(
-            box(np.array([-5, y - 0.25, 3.4]), np.array([10.0, 0, 0]), np.array([0, 0.5, 0]), np.array([0, 0, 0.3]), 1)
-        )
+        shapes.append(box(np.array([-5, y - 0.25, 3.4]), np.array([10.0, 0, 0]), np.array([0, 0.5, 0]), np.array([0, 0, 0.3]), 1))
     return Stage(scene_of(shapes), area_lamp((0.8, -1.0, 3.9), 1.0), (-5.6, -3.5, 2.6), (2, 0.6, 0.8), 1.5)
 
 
@@ -237,11 +235,7 @@ def sphere(middle, radius: float, rings: int, segments: int) -> np.ndarray:
     polar, turn = np.linspace(0, np.pi, rings + 1), np.linspace(0, 2 * np.pi, segments + 1)
     turn[-1] = 0
     places = np.stack(
-        [
-            np.sin(polar)[:, None] * np.cos(turn),
-            np.sin(polar)[:, None] * np.sin(turn),
-            np.cos(polar)[:, None] + 0 * turn,
-        ],
+        [np.sin(polar)[:, None] * np.cos(turn), np.sin(polar)[:, None] * np.sin(turn), np.cos(polar)[:, None] + 0 * turn],
         axis=2,
     )
     corners = _strip(np.array(middle) + radius * places)
