@@ -206,7 +206,7 @@ def update(
     with _lock:
         mine = held(scene)
         mine.left_out = left_out
-        if what.key == mine.shown:
+        if what.key == mine.shown and store.find_image(scene, store.DIRECT) is not None:
             mine.asked = None
             if mine.linked != _basis(scene, what.owners):
                 link(scene)

@@ -31,8 +31,10 @@ def is_known(engine: str) -> bool:
 
 
 def is_users(lamp: bpy.types.Object) -> bool:
-    """Whether the lamp has light linking of the user's own."""
+    """Whether the lamp, or an object that shines, has light linking of the user's own."""
     links = lamp.light_linking
+    if links is None:
+        return False
     receivers = links.receiver_collection
     return links.blocker_collection is not None or (receivers is not None and store.TAG not in receivers)
 

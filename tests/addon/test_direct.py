@@ -1,0 +1,549 @@
+"""The lamps' direct light in the bake: as Cycles has it, live, never twice, and gone without a trace."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from lightpanes.addon import commands, direct, linking, relight, store  # noqa: E402
+from lightpanes.addon.reference import cycles_bake  # noqa: E402
+from lightpanes.core.metrics import relative_rmse  # noqa: E402
+from lightpanes.core.penumbra import DirectLight  # noqa: E402
+
+from .files import reopen  # noqa: E402
+from .mending import found, mend  # noqa: E402
+from .test_nodes import tree_state  # noqa: E402
+from .test_relight import update  # noqa: E402
+
+pytestmark = pytest.mark.usefixtures("quick")
+
+EEVEE = "BLENDER_EEVEE" if bpy.app.version >= (5, 0) else "BLENDER_EEVEE_NEXT"
+
+
+def shine(scene, name="Panel", location=(-0.3, -0.2, 0.8), energy=20.0):
+    """One more lamp: half a metre of panel that looks down."""
+    lamp = bpy.data.objects.new(name, bpy.data.lights.new(name, "AREA"))
+    lamp.data.energy, lamp.data.size, lamp.location = energy, 0.5, location
+    scene.collection.objects.link(lamp)
+    return lamp
+
+
+@pytest.fixture
+def panel(room):
+    """The room with an area lamp alone, whose direct light is wanted in the bake, not baked yet."""
+    room.render.engine = EEVEE
+    bpy.data.objects.remove(bpy.data.objects["Lamp"])
+    shine(room)
+    room.lightpanes.direct = "BAKED"
+    return room
+
+
+@pytest.fixture
+def baked(panel):
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    return panel
+
+
+def image(role=store.DIRECT):
+    """(H, W, 3)."""
+    return store.read_image(bpy.context.scene, role)[..., :3].copy()
+
+
+def sky(scene, strength=0.5):
+    scene.world = bpy.data.worlds.new("World")
+    if scene.world.node_tree is None:
+        scene.world.use_nodes = True
+    background = next(node for node in scene.world.node_tree.nodes if node.type == "BACKGROUND")
+    background.inputs["Strength"].default_value = strength
+    return scene.world
+
+
+def yard(scene):
+    """A floor and a block under the open sky, and a sun that is some degrees wide."""
+    for item in list(scene.objects):
+        bpy.data.objects.remove(item)
+    bpy.ops.mesh.primitive_plane_add(size=3.0)
+    bpy.ops.mesh.primitive_cube_add(size=0.5, location=(0.2, 0.1, 0.25))
+    sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
+    sun.data.energy, sun.data.angle, sun.rotation_euler = 3.0, 0.3, (0.5, 0.3, 0.0)
+    scene.collection.objects.link(sun)
+    bpy.context.view_layer.update()
+
+
+def error(samples=256):
+    """Against Cycles' own direct light, on blocks of 4 × 4 texels that nothing covers."""
+    shown = image()
+    reference, mask, _ = cycles_bake(bpy.context, {"DIRECT"}, shown.shape[0], samples)
+    return relative_rmse(shown, reference, mask & store.load_bake(bpy.context.scene).own, 4)
+
+
+def linked():
+    """Names of the objects that each lamp leaves alone."""
+    return {
+        item.name: sorted(part.name for part in item.light_linking.receiver_collection.objects)
+        for item in bpy.data.objects
+        if item.type == "LIGHT" and item.light_linking.receiver_collection is not None
+    }
+
+
+def test_an_area_lamp_is_as_cycles_has_it(baked):
+    assert error() < 0.03
+
+
+def test_a_sun_with_an_angle_and_points_as_exits(room):
+    yard(room)
+    room.lightpanes.direct, room.lightpanes.exits = "BAKED", "POINTS"
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    assert store.load_bake(room).points
+    assert error() < 0.03
+
+
+def test_it_moves_with_the_lamp(baked):
+    before = image()
+    lamp = bpy.data.objects["Panel"]
+    lamp.location.x = 0.4
+    update()
+    assert np.abs(image() - before).max() > 0.1 * before.max()
+    assert error() < 0.03
+    lamp.data.energy *= 2
+    lamp.location.x = -0.3
+    update()
+    assert np.allclose(image(), 2 * before, rtol=1e-5, atol=1e-6)
+
+
+def test_only_lamps_that_changed_are_cast_again(baked, monkeypatch):
+    cast = []
+    unit = DirectLight.unit
+    monkeypatch.setattr(
+        DirectLight, "unit", lambda self, light, *more: cast.append(light.name) or unit(self, light, *more)
+    )
+    second = shine(baked, "Second", (0.5, 0.5, 0.5))
+    update()
+    assert cast == ["Second"]
+    second.data.energy = 5.0
+    bpy.data.objects["Panel"].data.color = (1, 0, 0)
+    update()
+    assert cast == ["Second"]
+    second.data.lightpanes.samples = 128
+    assert cast == ["Second"] * 2
+
+
+def test_the_sky_stays_as_it_was_baked(room):
+    """Switching on and off, moving lamps: what sky and emissive faces bring is stored once, and only added to."""
+    yard(room)
+    room.render.engine = EEVEE
+    sky(room)
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    own = store.load_bake(room).own
+    steady = image()
+    assert steady[own].mean() > 0.05
+    room.lightpanes.direct = "BAKED"
+    sun = bpy.data.objects["Sun"]
+    both = image()
+    assert (both - steady)[own].min() > -1e-5 and (both - steady)[own].mean() > 0.5
+    assert np.array_equal(store.load_bake(room).direct, steady)
+    assert np.array_equal(image(store.STEADY), steady)
+    sun.data.energy = 6.0
+    update()
+    assert np.allclose(image() - steady, 2 * (both - steady), rtol=1e-4, atol=1e-5)
+    sun.hide_render = True
+    update()
+    assert np.array_equal(image(), steady)
+    room.lightpanes.direct = "OFF"
+    assert np.array_equal(image(), steady) and store.find_image(room, store.STEADY) is None
+    assert np.array_equal(store.load_bake(room).direct, steady)
+
+
+def states():
+    """Of all trees, ours included."""
+    trees = [item.node_tree for item in bpy.data.materials if item.node_tree]
+    groups = [group for group in bpy.data.node_groups if store.TAG in group]
+    return [tree_state(tree) for tree in trees] + [sorted(node.bl_idname for node in group.nodes) for group in groups]
+
+
+@pytest.mark.parametrize("light", ["sky", "none"])
+def test_off_again_restores_everything(panel, light):
+    if light == "sky":
+        sky(panel)
+        bpy.data.objects["Room"].data.materials[0].use_backface_culling = True
+    panel.lightpanes.direct = "OFF"
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    before = states(), sorted(image.name for image in bpy.data.images), len(bpy.data.collections)
+    panel.lightpanes.direct = "BAKED"
+    assert linked() == {"Panel": ["Block", "Room"]}
+    panel.lightpanes.direct = "OFF"
+    assert linked() == {} and panel.lightpanes.receivers is None
+    assert before == (states(), sorted(image.name for image in bpy.data.images), len(bpy.data.collections))
+
+
+def test_clear_restores_everything(panel):
+    before = states(), len(bpy.data.images), len(bpy.data.collections)
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    assert linked()
+    assert bpy.ops.lightpanes.clear() == {"FINISHED"}
+    assert linked() == {} and before == (states(), len(bpy.data.images), len(bpy.data.collections))
+    update()
+    assert panel.lightpanes.direct == "BAKED" and not relight.session(panel)
+
+
+def test_baking_again_changes_nothing(baked):
+    before = image()
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    assert np.allclose(image(), before, rtol=1e-5, atol=1e-6) and before.max() > 1
+    assert [group.name for group in bpy.data.collections if store.TAG in group] == [
+        store.COLLECTION,
+        linking.RECEIVERS,
+    ]
+
+
+def test_undo(baked):
+    bpy.ops.ed.undo_push(message="Baked")
+    before = image()
+    bpy.data.objects["Panel"].location.x = 0.4
+    update()
+    moved = image()
+    bpy.ops.ed.undo_push(message="Moved")
+    bpy.ops.ed.undo()
+    assert np.allclose(image(), before, rtol=1e-5, atol=1e-6)
+    bpy.ops.ed.redo()
+    assert np.allclose(image(), moved, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("light", ["sky", "none"])
+def test_undoing_the_switch(room, light):
+    yard(room)
+    if light == "sky":
+        sky(room)
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    bpy.ops.ed.undo_push(message="Baked")
+    before = store.load_bake(room).direct
+    room.lightpanes.direct = "BAKED"
+    room.render.engine = EEVEE
+    update()
+    shown = image()
+    assert linked()
+    bpy.ops.ed.undo_push(message="Switched")
+    bpy.ops.ed.undo()
+    scene = bpy.context.scene
+    assert scene.lightpanes.direct == "OFF" and linked() == {}
+    after = store.load_bake(scene).direct
+    assert (before is None and after is None and store.find_image(scene, store.DIRECT) is None) or np.array_equal(
+        before, after
+    )
+    bpy.ops.ed.redo()
+    assert bpy.context.scene.lightpanes.direct == "BAKED"
+    assert np.allclose(image(), shown, rtol=1e-5, atol=1e-6)
+    assert list(linked()) == ["Sun"]
+
+
+def test_reopening_computes_nothing_and_then_follows(baked, tmp_path):
+    bpy.data.objects["Panel"].location.x = 0.4
+    update()
+    expected = image()
+    bpy.data.objects["Panel"].location.x = -0.3
+    update()
+    before = image()
+    scene = reopen(tmp_path)
+    update()
+    assert np.array_equal(image(), before)
+    assert direct.held(scene).atlas is None and linked() == {"Panel": ["Block", "Room"]}
+    bpy.data.objects["Panel"].location.x = 0.4
+    update()
+    assert np.allclose(image(), expected, rtol=1e-3, atol=1e-3)
+
+
+def test_an_object_that_moves_takes_its_light_along(baked):
+    bpy.data.objects["Block"].location.x -= 0.4
+    update()
+    assert error() < 0.04
+
+
+def test_a_lamp_that_is_baked_in_stays(panel):
+    bpy.data.lights["Panel"].lightpanes.live = False
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    before = image()
+    assert error() < 0.03
+    lamp = bpy.data.objects["Panel"]
+    lamp.location.x = 0.4
+    update()
+    assert np.allclose(image(), before, rtol=1e-5) and list(linked()) == ["Panel"]
+    bpy.data.objects.remove(lamp)
+    assert bpy.ops.lightpanes.relight() == {"FINISHED"}
+    assert np.allclose(image(), before, rtol=1e-5)
+
+
+def test_not_live_until_asked(baked):
+    before = image()
+    baked.lightpanes.live = False
+    bpy.data.objects["Panel"].location.x = 0.4
+    update()
+    assert np.array_equal(image(), before)
+    assert bpy.ops.lightpanes.relight() == {"FINISHED"}
+    assert np.abs(image() - before).max() > 0.1 * before.max()
+
+
+# ---- never twice ----
+
+
+def camera(scene):
+    eye = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    scene.collection.objects.link(eye)
+    eye.location, eye.rotation_euler, eye.data.lens = (0, -0.95, 0), (np.pi / 2, 0, 0), 18
+    scene.camera = eye
+    scene.render.resolution_x = scene.render.resolution_y = 64
+    scene.render.image_settings.file_format = "OPEN_EXR"
+
+
+def render(tmp_path):
+    """(H, W, 3) in linear light."""
+    scene = bpy.context.scene
+    scene.render.filepath = str(tmp_path / "picture.exr")
+    bpy.ops.render.render(write_still=True)
+    picture = bpy.data.images.load(scene.render.filepath)
+    try:
+        pixels = np.array(picture.pixels, np.float32)
+        return pixels.reshape(picture.size[1], picture.size[0], 4)[..., :3]
+    finally:
+        bpy.data.images.remove(picture)
+
+
+def test_cycles_shows_the_same_either_way(panel, tmp_path):
+    """A plain room: what Lightpanes adds is what the lamp, which no longer lights it, would have brought."""
+    bpy.data.objects.remove(bpy.data.objects["Block"])
+    panel.lightpanes.direct, panel.lightpanes.resolution = "OFF", 128
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    camera(panel)
+    panel.render.engine, panel.lightpanes.cycles = "CYCLES", True
+    panel.cycles.samples, panel.cycles.use_denoising, panel.cycles.use_adaptive_sampling = 128, False, False
+    engine = render(tmp_path)
+    panel.lightpanes.direct = "BAKED"
+    ours = render(tmp_path)
+    assert linked() == {"Panel": ["Room"]}
+    assert relative_rmse(ours, engine, block=4) < 0.03
+    panel.lightpanes.cycles = False
+    assert linked() == {}
+    assert render(tmp_path).mean() > 0.3 * engine.mean(), "the lamp shines again where the bake is not shown"
+
+
+def test_lamps_shine_in_engines_that_do_not_show_the_bake(baked, tmp_path):
+    assert list(linked()) == ["Panel"]
+    baked.render.engine = "CYCLES"
+    update()
+    assert linked() == {}
+    baked.lightpanes.cycles = True
+    assert list(linked()) == ["Panel"]
+    baked.lightpanes.cycles = False
+    baked.render.engine = EEVEE
+    update()
+    assert list(linked()) == ["Panel"]
+    baked.render.engine = "CYCLES"
+    camera(baked)
+    baked.cycles.samples = 1
+    render(tmp_path)
+    assert linked() == {}
+
+
+def test_a_reference_has_the_lamps(baked):
+    baked.render.engine, baked.lightpanes.cycles = "CYCLES", True
+    update()
+    assert error(64) < 0.04 and list(linked()) == ["Panel"]
+
+
+def test_a_lamp_with_light_linking_of_its_own_is_left_alone(baked):
+    second = shine(baked, "Second", (0.5, 0.5, 0.5))
+    update()
+    both = image()
+    assert sorted(linked()) == ["Panel", "Second"]
+    mine = bpy.data.collections.new("Mine")
+    second.light_linking.receiver_collection = mine
+    relight.relight(bpy.context)
+    assert second.light_linking.receiver_collection == mine
+    assert image().mean() < 0.9 * both.mean()
+    said = "Lamp 'Second' has light linking of its own, so its direct light is left to the engine."
+    assert direct.sentences(baked) == [said]
+    baked.lightpanes.direct = "OFF"
+    assert second.light_linking.receiver_collection == mine
+
+
+def test_a_lamp_of_two_scenes_is_left_alone(baked):
+    other = bpy.data.scenes.new("Other")
+    other.collection.objects.link(bpy.data.objects["Panel"])
+    relight.relight(bpy.context)
+    assert image().max() == 0 and linked() == {}
+    assert "is in 2 scenes" in direct.sentences(baked)[0]
+
+
+def test_a_copy_of_the_scene_has_links_of_its_own(baked):
+    bpy.ops.scene.new(type="FULL_COPY")
+    copy = bpy.context.scene
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    assert copy.lightpanes.receivers != baked.lightpanes.receivers
+    assert all("." not in name for name in linked()["Panel"]), "the first scene keeps its own"
+    copy.lightpanes.direct = "OFF"
+    assert linked() == {"Panel": ["Block", "Room"]}
+
+
+def test_objects_at_vertices_are_left_to_the_lamps(panel):
+    bpy.data.objects["Block"].lightpanes.target = "VERTICES"
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    assert linked() == {"Panel": ["Room"]}
+    assert direct.sentences(panel) == ["Lit at their vertices, which hold no direct light of lamps: 'Block'."]
+
+
+def test_our_links_are_no_links_of_the_users(baked):
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    assert not [said for said in store.read_meta(baked)["report"]["warnings"] if "linking" in said]
+
+
+def test_an_eevee_without_light_linking_is_named(baked, monkeypatch):
+    assert not found("LAMPS")
+    monkeypatch.setattr(linking, "EEVEE_KNOWS", (9, 0))
+    mend("LAMPS")
+    assert baked.lightpanes.direct == "OFF" and linked() == {}
+
+
+# ---- in a window ----
+
+
+def follow():
+    """What a window does after a change."""
+    relight.update(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), at_once=False)
+
+
+def look(until, seconds=20.0):
+    """Let the timer look until something holds."""
+    end = time.monotonic() + seconds
+    while not until():
+        assert time.monotonic() < end
+        direct._look()
+        time.sleep(0.001)
+
+
+@pytest.fixture
+def window(baked, monkeypatch):
+    """Changes are followed by the timer alone."""
+    bpy.app.handlers.depsgraph_update_post.remove(relight._on_update)
+    monkeypatch.setattr(direct, "REST", 1e9)
+    yield baked
+    bpy.app.handlers.depsgraph_update_post.append(relight._on_update)
+
+
+def move(x):
+    bpy.data.objects["Panel"].location.x = x
+    update()
+    follow()
+
+
+def test_a_dragged_lamp_is_followed_coarsely_and_then_in_full(window, monkeypatch):
+    before, mine = image(), direct.held(window)
+    move(0.4)
+    assert np.array_equal(image(), before), "the indirect light does not wait for it"
+    look(lambda: not mine.shown)
+    coarse, key = image(), mine.coarse
+    monkeypatch.setattr(direct, "REST", 0.0)
+    look(lambda: mine.shown)
+    assert mine.shown == key and mine.asked is None and direct._look() is None
+    # neighbours share a value, so that a coarse image lags by a texel, which is 10 cm here
+    assert relative_rmse(coarse, image(), store.load_bake(window).own, 4) < 0.2
+    assert error() < 0.03
+
+
+def test_an_image_that_nobody_wants_any_more_is_dropped(window):
+    before, mine = image(), direct.held(window)
+    move(0.4)
+    direct._look()
+    move(-0.3)
+    look(lambda: mine.work is None)
+    assert np.array_equal(image(), before)
+
+
+@pytest.mark.parametrize("way", ["save", "images", "frame", "render"])
+def test_nothing_coarse_leaves_the_window(window, tmp_path, way):
+    mine = direct.held(window)
+    move(0.4)
+    look(lambda: not mine.shown)
+    if way == "save":
+        scene = reopen(tmp_path)
+        assert direct.held(scene).shown
+    elif way == "images":
+        assert bpy.ops.lightpanes.save_images(directory=str(tmp_path)) == {"FINISHED"}
+    elif way == "frame":
+        window.frame_set(7)
+    else:
+        camera(window)
+        window.render.engine, window.cycles.samples = "CYCLES", 1
+        render(tmp_path)
+    assert direct.held(bpy.context.scene).shown
+    assert error() < 0.03
+
+
+# ---- results for others ----
+
+
+def test_animations_have_direct_light_of_each_frame(panel, tmp_path):
+    sky(panel)
+    bpy.data.objects["Room"].hide_render = True
+    bpy.ops.mesh.primitive_plane_add(size=2, location=(0, 0, -1))
+    lamp = bpy.data.objects["Panel"]
+    for frame, x in ((1, -0.5), (2, 0.5), (3, 0.5)):
+        lamp.location.x = x
+        lamp.keyframe_insert("location", frame=frame)
+    panel.frame_start, panel.frame_end = 1, 3
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    assert bpy.ops.lightpanes.bake_animation(directory=str(tmp_path / "out")) == {"FINISHED"}
+    manifest = json.loads((tmp_path / "out" / "lightpanes_animation.json").read_text("utf-8"))
+    assert manifest["schema"] == 2 and manifest["direct"] is None
+    assert [frame["direct"] for frame in manifest["frames"]] == [f"direct_000{k}.exr" for k in (1, 2, 3)]
+    for frame in (1, 2, 3):
+        panel.frame_set(frame)
+        written = bpy.data.images.load(str(tmp_path / "out" / f"direct_000{frame}.exr"))
+        pixels = np.array(written.pixels, np.float32).reshape(64, 64, 4)[..., :3]
+        assert np.allclose(pixels, image(), rtol=2e-3, atol=1e-3)
+    first, second, third = ((tmp_path / "out" / f"direct_000{k}.exr").read_bytes() for k in (1, 2, 3))
+    assert first != second == third
+
+
+def test_saved_images_hold_the_lamps(baked, tmp_path):
+    assert bpy.ops.lightpanes.save_images(directory=str(tmp_path)) == {"FINISHED"}
+    written = bpy.data.images.load(str(tmp_path / "Lightpanes Direct.exr"))
+    assert np.allclose(np.array(written.pixels, np.float32).reshape(64, 64, 4)[..., :3], image(), rtol=1e-3, atol=1e-4)
+
+
+def test_the_command_line(panel, tmp_path):
+    panel.lightpanes.direct = "OFF"
+    path = tmp_path / "room.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    told = tmp_path / "report.json"
+    words = ["--error", "0.5", "--resolution", "64", "--direct", "baked", "--json", str(told)]
+    assert commands.main(["bake", str(path), *words]) == 0
+    report = json.loads(told.read_text())
+    assert report["settings"]["direct"] == "baked" and report["direct_ms"] > 0
+
+
+def test_relighting_from_the_command_line(baked, tmp_path, capsys):
+    before = image()
+    bpy.data.objects["Panel"].keyframe_insert("location", frame=1)
+    bpy.data.objects["Panel"].location.x = 0.4
+    bpy.data.objects["Panel"].keyframe_insert("location", frame=2)
+    baked.frame_set(1)
+    path = tmp_path / "room.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    folder = tmp_path / "out"
+    assert commands.main(["relight", str(path), "--frame", "2", "--output", str(folder)]) == 0
+    assert np.abs(image() - before).max() > 0.1 * before.max()
+    assert (folder / "room_relit_direct.exr").exists()
+    report = json.loads((folder / "room_relit_report.json").read_text())
+    assert report["direct_ms"] > 0 and report["warnings"] == []
+    assert commands.main(["info", str(path)]) == 0
+    assert "direct_ms" in capsys.readouterr().out
+
+
+def test_deleted_images(baked):
+    bpy.data.images.remove(store.find_image(baked, store.DIRECT))
+    assert bpy.ops.lightpanes.relight() == {"FINISHED"}
+    assert image().max() > 1
+    (group,) = (group for group in bpy.data.node_groups if store.TAG in group)
+    assert store.find_image(baked, store.DIRECT) in [getattr(node, "image", None) for node in group.nodes]
