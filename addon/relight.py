@@ -434,6 +434,9 @@ def _on_load(*_):
 def _on_save(*_):
     for scene in bpy.data.scenes:
         direct.finish(scene)
+        if direct.is_baked(scene):
+            # what names baked objects would keep deleted ones in the file
+            direct.link(scene)
     pack()
 
 

@@ -398,6 +398,13 @@ def test_our_links_are_no_links_of_the_users(baked):
     assert not [said for said in store.read_meta(baked)["report"]["warnings"] if "linking" in said]
 
 
+def test_deleted_objects_are_not_kept_alive(baked, tmp_path):
+    with bpy.context.temp_override(selected_objects=[bpy.data.objects["Block"]]):
+        bpy.ops.object.delete()
+    reopen(tmp_path)
+    assert "Block" not in bpy.data.objects and linked() == {"Panel": ["Room"]}
+
+
 def test_an_eevee_without_light_linking_is_named(baked, monkeypatch):
     assert not found("LAMPS")
     monkeypatch.setattr(linking, "EEVEE_KNOWS", (9, 0))

@@ -127,7 +127,7 @@ def test_objects_and_lamps(room):
     drawn = draw(panel.LIGHTPANES_PT_object, Context(object=block))
     assert texts(drawn, "prop") == ["exclude", "target", "weight"]
     assert draw(panel.LIGHTPANES_PT_object, Context(object=lamp)) is None
-    assert texts(draw(panel.LIGHTPANES_PT_light, Context(light=lamp.data)), "prop") == ["live"]
+    assert texts(draw(panel.LIGHTPANES_PT_light, Context(light=lamp.data)), "prop") == ["live", "samples"]
     assert draw(panel.LIGHTPANES_PT_light, Context(light=None)) is None
     bpy.context.view_layer.objects.active = block
     assert texts(draw(panel.LIGHTPANES_PT_output), "prop") == ["target"]
