@@ -27,6 +27,9 @@ from .meshes import AT_VERTICES
 REST = 0.2
 """Seconds without a change after which a lamp counts as put down."""
 
+QUICK = 0.05
+"""Seconds that a coarse image may take without a pause after it, which leaves time to the indirect light."""
+
 TICK = 0.01
 """Seconds between two looks at what works beside Blender."""
 
@@ -53,7 +56,8 @@ class Held:
     """What is known about one scene's direct light while Blender runs.
 
     bake: key of its bake. surfaces: key of the shapes that `atlas` was made from. shown: key of what the image shows in
-    full, coarse: coarsely. linked: what `link` last went by.
+    full, coarse: coarsely. linked: what `link` last went by. since: when what is asked for last changed; pause: until when
+    nothing coarse is begun.
     """
 
     bake: str
@@ -67,6 +71,7 @@ class Held:
     error: str = ""
     asked: Asked | None = None
     since: float = 0.0
+    pause: float = 0.0
     work: _Work | None = None
 
 
@@ -236,8 +241,7 @@ def values(
         _make_atlas(context, mine, read)
         _settle(mine)
         image = mine.atlas.image(asked[0].lights, asked[0].samples)
-        steady = store.read_image(scene, store.STEADY)
-        return image if steady is None else image + steady[..., :3]
+        return _with_steady(scene, image)[..., :3]
 
 
 def finish(scene: bpy.types.Scene) -> None:
@@ -334,8 +338,7 @@ def _make_atlas(context, mine: Held, read: Read) -> None:
 
 
 def _show(scene, mine: Held, what: Asked, image: np.ndarray, full: bool) -> None:
-    steady = store.read_image(scene, store.STEADY)
-    store.write_image(scene, store.DIRECT, store.opaque(image if steady is None else image + steady[..., :3]))
+    store.write_image(scene, store.DIRECT, _with_steady(scene, image))
     shown = store.find_image(scene, store.DIRECT)
     if shown.get(OWNERS) != (names := json.dumps(what.owners)):
         shown[OWNERS] = names
@@ -346,6 +349,14 @@ def _show(scene, mine: Held, what: Asked, image: np.ndarray, full: bool) -> None
     # objects may have come or gone; while a lamp is dragged the same ones are taken to be there
     if full or mine.linked != _basis(scene, what.owners):
         link(scene)
+
+
+def _with_steady(scene, image: np.ndarray) -> np.ndarray:
+    """The image, (H, W, 4), with what sky and emissive faces bring added in place."""
+    steady = store.read_image(scene, store.STEADY)
+    if steady is not None:
+        image[..., :3] += steady[..., :3]
+    return image
 
 
 def _settle(mine: Held) -> None:
@@ -376,12 +387,14 @@ def _step(scene, mine: Held) -> bool:
         if work.thread.is_alive():
             return True
         mine.work = None
+        mine.pause = time.perf_counter() + max(work.seconds - QUICK, 0)
         if mine.asked is not None and work.atlas is mine.atlas and mine.bake == store.bake_key(scene):
             _take(scene, mine, work)
     if mine.asked is None or mine.atlas is None:
         return False
-    rests = time.perf_counter() - mine.since >= REST
-    if rests or mine.coarse != mine.asked.key:
+    now = time.perf_counter()
+    rests = now - mine.since >= REST
+    if rests or (mine.coarse != mine.asked.key and now >= mine.pause):
         mine.work = _Work(mine.asked, rests, mine.atlas)
     return True
 

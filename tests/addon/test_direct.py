@@ -9,10 +9,12 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from lightpanes.addon import commands, direct, linking, relight, store  # noqa: E402
+from lightpanes.addon import panel as drawn_panel  # noqa: E402
 from lightpanes.addon.reference import cycles_bake  # noqa: E402
 from lightpanes.core.metrics import relative_rmse  # noqa: E402
 from lightpanes.core.penumbra import DirectLight  # noqa: E402
 
+from .drawing import draw, texts  # noqa: E402
 from .files import reopen  # noqa: E402
 from .mending import found, mend  # noqa: E402
 from .test_nodes import tree_state  # noqa: E402
@@ -554,3 +556,13 @@ def test_deleted_images(baked):
     assert image().max() > 1
     (group,) = (group for group in bpy.data.node_groups if store.TAG in group)
     assert store.find_image(baked, store.DIRECT) in [getattr(node, "image", None) for node in group.nodes]
+
+
+def test_the_panel_says_what_it_took_and_what_is_left_out(baked):
+    drawn = draw(drawn_panel.LIGHTPANES_PT_output)
+    labels = texts(drawn, "label")
+    assert "direct" in texts(drawn, "prop") and "Last Direct Light" in labels
+    shine(baked, "Second").light_linking.receiver_collection = bpy.data.collections.new("Mine")
+    update()
+    said = " ".join(texts(draw(drawn_panel.LIGHTPANES_PT_output), "label"))
+    assert "Lamp 'Second' has light linking of its own" in said

@@ -130,7 +130,7 @@ def test_objects_and_lamps(room):
     assert texts(draw(panel.LIGHTPANES_PT_light, Context(light=lamp.data)), "prop") == ["live", "samples"]
     assert draw(panel.LIGHTPANES_PT_light, Context(light=None)) is None
     bpy.context.view_layer.objects.active = block
-    assert texts(draw(panel.LIGHTPANES_PT_output), "prop") == ["target"]
+    assert texts(draw(panel.LIGHTPANES_PT_output), "prop") == ["target", "direct"]
 
 
 def test_no_lamps(room):

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lightpanes.core.direct_atlas import COARSE_SAMPLES, DirectAtlas, _leaders
+from lightpanes.core import direct_atlas
+from lightpanes.core.direct_atlas import COARSE_SAMPLES, DirectAtlas, _coarse_leaders, _leaders
 from lightpanes.core.lights import irradiance
 from lightpanes.core.metrics import relative_rmse
 from lightpanes.core.penumbra import DirectLight, Receivers, cast_rays, sample_lamp, shade
@@ -47,7 +48,9 @@ def test_it_is_what_rays_say(atlas):
     panel = sample_lamp(PANEL, 64, 4)
     expected = shade(PANEL, panel, receivers, cast_rays(receivers, panel, tracer.blocked))[:, None] * PANEL.power
     expected += irradiance(BULB, position, texels.samples.normal, tracer.visibility)[:, None] * BULB.power
-    shown = atlas.image([PANEL, BULB]).reshape(-1, 3)
+    image = atlas.image([PANEL, BULB])
+    assert (image[..., 3] == 1).all()
+    shown = image[..., :3].reshape(-1, 3)
     assert np.allclose(shown[texels.index], expected, rtol=1e-5, atol=1e-6)
     assert shown.max() > 1 and not shown[texels.fill() < 0].any()
 
@@ -55,7 +58,8 @@ def test_it_is_what_rays_say(atlas):
 def test_only_lamps_that_changed_are_cast(atlas, casts):
     first = atlas.image([PANEL, BULB])
     brighter = replace(PANEL, power=2 * PANEL.power)
-    assert np.allclose(atlas.image([brighter, BULB]) - first, atlas.image([PANEL]), rtol=1e-4, atol=1e-4)
+    more = atlas.image([brighter, BULB]) - first
+    assert np.allclose(more[..., :3], atlas.image([PANEL])[..., :3], rtol=1e-4, atol=1e-4)
     assert [name for name, *_ in casts] == ["Lamp", "Bulb"]
     atlas.image([PANEL], {"Lamp": 128})
     assert casts[2:] == [("Lamp", atlas.texels, 128)]
@@ -71,8 +75,22 @@ def test_a_coarse_image_casts_the_lamp_that_moved_at_a_quarter_of_the_texels(atl
     # charts' borders have texels of their own
     assert 0.25 * atlas.texels <= receivers < 0.4 * atlas.texels
     full = atlas.image([moved, BULB])
-    assert relative_rmse(coarse, full, full.any(axis=2), 4) < 0.1
+    assert relative_rmse(coarse[..., :3], full[..., :3], None, 4) < 0.1
     assert np.array_equal(atlas.coarse([moved, BULB]), full), "what is known in full is shown so"
+
+
+def test_large_atlases_halve_more_than_once(monkeypatch):
+    monkeypatch.setattr(direct_atlas, "COARSE_TEXELS", 700)
+    texels = make_texels(room(), RESOLUTION)
+    leader, step = _coarse_leaders(texels)
+    chosen = np.unique(leader)
+    assert step > 2 and (leader[chosen] == chosen).all()
+    # texels at charts' borders stand for themselves
+    assert len(chosen) < 0.25 * len(texels)
+    samples, place = texels.samples, np.stack(np.divmod(texels.index, RESOLUTION))
+    assert 1 < np.abs(place - place[:, leader]).max() < step
+    assert np.einsum("nd,nd->n", samples.normal, samples.normal[leader]).min() > 0.9
+    assert np.linalg.norm(samples.position - samples.position[leader], axis=1).max() < 0.3 * step
 
 
 def test_leaders_are_neighbours_on_the_same_surface():
@@ -93,8 +111,8 @@ def test_texels_inside_things_show_their_neighbours():
     texels = make_texels(made, RESOLUTION)
     own = np.zeros(RESOLUTION**2, bool)
     own[texels.index[::2]] = True
-    shown = DirectAtlas(made, RESOLUTION, Tracer(made), own).image([BULB]).reshape(-1, 3)
-    whole = DirectAtlas(made, RESOLUTION, Tracer(made)).image([BULB]).reshape(-1, 3)
+    shown = DirectAtlas(made, RESOLUTION, Tracer(made), own).image([BULB])[..., :3].reshape(-1, 3)
+    whole = DirectAtlas(made, RESOLUTION, Tracer(made)).image([BULB])[..., :3].reshape(-1, 3)
     assert np.allclose(shown[own], whole[own], rtol=1e-5, atol=1e-6)
     assert shown[texels.index].any(axis=1).mean() > 0.5
     nobody = DirectAtlas(made, RESOLUTION, Tracer(made), np.zeros(RESOLUTION**2, bool))
@@ -102,10 +120,10 @@ def test_texels_inside_things_show_their_neighbours():
 
 
 def test_no_lamps_and_no_texels(atlas):
-    assert not atlas.image([]).any() and not atlas.coarse([]).any()
+    assert not atlas.image([])[..., :3].any() and not atlas.coarse([])[..., :3].any()
     made = room()
     objects = [SceneObject(part.name, at_vertices=True) for part in made.objects]
     bare = Scene(**{**vars(made), "objects": objects})
     empty = DirectAtlas(bare, 16, Tracer(bare))
     for light in (PANEL, BULB):
-        assert not empty.image([light]).any() and not empty.coarse([light]).any()
+        assert not empty.image([light])[..., :3].any() and not empty.coarse([light])[..., :3].any()
