@@ -70,6 +70,7 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
             surfaces = extract.extract(context, resolution=settings.resolution, loops=loops)
         found = extract.fingerprint(context)
         planned = Snapshot(scene, objects)
+        lit = direct.ask_now(context) if asked.direct == "BAKED" else None
     finally:
         # what is there shows by the old atlas until the new bake is
         before.restore()
@@ -80,10 +81,12 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
 
         result = bake(surfaces, settings, told, kept)
         tracer = Tracer(surfaces)
-        return result, Relighter(result.panes(), tracer), tracer
+        relighter = Relighter(result.panes(), tracer)
+        shown = None if lit is None else direct.make_atlas(relighter.panes, surfaces, tracer, lit)
+        return result, relighter, shown
 
     del scene, asked, objects, at_vertices
-    result, relighter, tracer = yield Work(work, alone=True)
+    result, relighter, shown = yield Work(work, alone=True)
     scene = context.scene
     yield Progress("Storing", BAKED, result.meta["report"]["rays"])
     edited = planned.edited()
@@ -108,12 +111,14 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         raise
     with relight.paused():
         vertices.keep(context, surfaces, loops)
-        relight.adopt(scene, relighter, surfaces, tracer)
+        relight.adopt(scene, relighter)
         report["warnings"] += nodes.attach(context, surfaces)
         # after attaching, which may give materials to objects that have none; but what changed meanwhile is stale
         late = {name: found.get(name, "") for name in extract.changed_objects(found, now) if name in found}
         result.meta["fingerprint"] = extract.fingerprint(context) | late
         store.write_meta(scene, result.meta)
+        if shown is not None:
+            direct.adopt(scene, shown, result.meta["fingerprint"])
     with contextlib.suppress(Cancelled):
         # too late: the new bake is in place
         yield Progress("Storing", 0.99, report["rays"])

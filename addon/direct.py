@@ -21,7 +21,7 @@ from ..core.penumbra import samples_for
 from ..core.rays import Tracer
 from ..core.scene import Light, Scene, SceneError
 from . import extract, linking, nodes, store, vertices
-from .lamps import lamp_key
+from .lamps import lamp_key, read_lights
 from .meshes import AT_VERTICES
 
 REST = 0.2
@@ -127,6 +127,31 @@ def forget(scene: bpy.types.Scene) -> None:
     _held.pop(scene.session_uid, None)
 
 
+def make_atlas(panes: Panes, surfaces: Scene, tracer: Tracer, asked: Asked | None = None) -> DirectAtlas:
+    """The texels of a bake. asked: lamps to cast at once. Nothing of Blender is read: it may run beside it."""
+    own = panes.own
+    if own is None:
+        own = np.zeros(panes.resolution**2, bool)
+        own[panes.texel] = True
+    atlas = DirectAtlas(surfaces, panes.resolution, tracer, own)
+    if asked is not None:
+        atlas.image(asked.lights, asked.samples)
+    return atlas
+
+
+def ask_now(context: bpy.types.Context) -> Asked:
+    """What a bake of the context's scene is going to show."""
+    owners: dict[str, bpy.types.Object] = {}
+    lights = read_lights(context.evaluated_depsgraph_get(), [], owners)
+    return ask(context.scene, lights, (), owners)[0]
+
+
+def adopt(scene: bpy.types.Scene, atlas: DirectAtlas, fingerprint: dict[str, str]) -> None:
+    """Use what a bake has just made of these surfaces (`extract.fingerprint`)."""
+    mine = held(scene)
+    mine.atlas, mine.surfaces = atlas, _surfaces(fingerprint)
+
+
 def begin(scene: bpy.types.Scene) -> None:
     """Make room for the lamps' light in the bake's images; it is not in them yet."""
     if store.find_image(scene, store.STEADY) is not None:
@@ -223,7 +248,7 @@ def update(
             started = time.perf_counter()
             image = mine.atlas.image(what.lights, what.samples)
             _show(scene, mine, what, image, full=True)
-            mine.milliseconds = 1000 * (time.perf_counter() - started)
+            mine.milliseconds, mine.asked = 1000 * (time.perf_counter() - started), None
         elif mine.asked is None or mine.asked.key != what.key:
             mine.asked, mine.since = what, time.perf_counter()
             if not bpy.app.timers.is_registered(_look):
@@ -269,7 +294,7 @@ def look_again(scene: bpy.types.Scene, fingerprint: dict[str, str]) -> bool:
         if mine is None or mine.atlas is None or mine.surfaces == _surfaces(fingerprint):
             return False
         _settle(mine)
-        mine.atlas, mine.shown, mine.coarse = None, "", ""
+        mine.atlas, mine.asked, mine.shown, mine.coarse = None, None, "", ""
         return True
 
 
@@ -279,7 +304,7 @@ def undone() -> None:
         for mine in _held.values():
             _settle(mine)
             mine.shown = mine.coarse = mine.error = ""
-            mine.linked = ()
+            mine.linked, mine.asked = (), None
 
 
 def link(scene: bpy.types.Scene) -> None:
@@ -329,12 +354,8 @@ def _make_atlas(context, mine: Held, read: Read) -> None:
         return
     _settle(mine)
     panes, surfaces, tracer = read()
-    own = panes.own
-    if own is None:
-        own = np.zeros(panes.resolution**2, bool)
-        own[panes.texel] = True
     mine.surfaces = _surfaces(extract.fingerprint(context))
-    mine.atlas = DirectAtlas(surfaces, panes.resolution, tracer, own)
+    mine.atlas = make_atlas(panes, surfaces, tracer)
 
 
 def _show(scene, mine: Held, what: Asked, image: np.ndarray, full: bool) -> None:
@@ -408,6 +429,8 @@ def _take(scene, mine: Held, work: _Work) -> None:
         except SceneError as reason:
             error = str(reason)
         mine.milliseconds = 1000 * work.seconds
+    else:
+        mine.asked = None
     if error:
         mine.error, mine.asked = error, None
         print(f"Lightpanes: {error}")

@@ -79,11 +79,10 @@ def forget(scene: bpy.types.Scene) -> None:
     _sessions.pop(scene.session_uid, None)
 
 
-def adopt(scene: bpy.types.Scene, relighter: Relighter, surfaces: Scene, tracer: Tracer) -> None:
-    """Use this relighter and what it was made of, just made by a bake, instead of making one from the .blend."""
+def adopt(scene: bpy.types.Scene, relighter: Relighter) -> None:
+    """Use this relighter, just made by a bake, instead of making one from the .blend."""
     direct.forget(scene)
-    read = (surfaces, tracer) if direct.is_baked(scene) else None
-    _sessions[scene.session_uid] = _begin(scene, store.bake_key(scene), relighter=relighter, read=read)
+    _sessions[scene.session_uid] = _begin(scene, store.bake_key(scene), relighter=relighter)
 
 
 @contextmanager

@@ -191,6 +191,14 @@ def test_clear_restores_everything(panel):
     assert panel.lightpanes.direct == "BAKED" and not relight.session(panel)
 
 
+def test_a_bake_has_cast_the_lamps_when_it_ends(panel, monkeypatch):
+    """So a window need not wait for them."""
+    atlases, make = [], direct.make_atlas
+    monkeypatch.setattr(direct, "make_atlas", lambda *given: atlases.append(make(*given)) or atlases[-1])
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    assert atlases == [direct.held(panel).atlas]
+
+
 def test_baking_again_changes_nothing(baked):
     before = image()
     assert bpy.ops.lightpanes.bake() == {"FINISHED"}
@@ -467,6 +475,29 @@ def test_an_image_that_nobody_wants_any_more_is_dropped(window):
     move(-0.3)
     look(lambda: mine.work is None)
     assert np.array_equal(image(), before)
+
+
+def test_an_edit_while_a_lamp_is_dragged(window, monkeypatch):
+    mine = direct.held(window)
+    move(0.4)
+    bpy.data.objects["Block"].location.x -= 0.4
+    update()
+    relight.check_stale(bpy.context)
+    follow()
+    monkeypatch.setattr(direct, "REST", 0.0)
+    look(lambda: mine.shown)
+    assert error() < 0.04
+
+
+def test_undo_while_a_lamp_is_dragged(window, monkeypatch):
+    bpy.ops.ed.undo_push(message="Baked")
+    before, mine = image(), direct.held(window)
+    move(0.4)
+    bpy.ops.ed.undo_push(message="Moved")
+    bpy.ops.ed.undo()
+    monkeypatch.setattr(direct, "REST", 0.0)
+    look(lambda: mine.work is None and direct._look() is None)
+    assert np.allclose(image(), before, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("way", ["save", "images", "frame", "render"])
