@@ -9,6 +9,7 @@ from . import (
     beside,
     commands,
     fixes,
+    following,
     job,
     operators,
     overlay,
@@ -17,13 +18,12 @@ from . import (
     preflight,
     properties,
     refresh,
-    relight,
     saving,
     translations,
 )
 
 MODULES = (
-    preferences, properties, operators, job, animation, fixes, saving, preflight, panel, translations, relight, beside,
+    preferences, properties, operators, job, animation, fixes, saving, preflight, panel, translations, following, beside,
     refresh, overlay, commands,
 )  # fmt: skip
 

@@ -17,7 +17,22 @@ from ..core.bake import Cancelled, Kept, Progress, Settings, bake
 from ..core.panes import Relighter
 from ..core.rays import Tracer
 from ..core.scene import SceneError
-from . import atlas, claims, environment, extract, nodes, points, relight, store, twice, vertices, waiting
+from . import (
+    atlas,
+    claims,
+    direct,
+    environment,
+    extract,
+    lamps,
+    linking,
+    nodes,
+    points,
+    relight,
+    store,
+    twice,
+    vertices,
+    waiting,
+)
 from .preflight import check as preflight
 from .snapshot import PLACE, Snapshot, remove_layer
 from .unfolded import Unfolded
@@ -78,6 +93,7 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
     with relight.paused(), unfolded.laid(objects):
         surfaces = extract.extract(context, resolution=settings.resolution, loops=loops, atlas=unfolded)
     found, world = extract.fingerprint(context), environment.digest(scene.world)
+    lit = direct.ask_now(context) if asked.direct == "BAKED" else None
 
     def work(progress):
         def told(now):
@@ -90,15 +106,20 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         # what is kept stays as it is
         result = replace(result, meta=copy.deepcopy(result.meta))
         points.remember(result, surfaces)
-        return result, Relighter(result.panes(), Tracer(surfaces)), store.key_of(result)
+        tracer = Tracer(surfaces)
+        relighter = Relighter(result.panes(), tracer)
+        shown = None if lit is None else direct.make_atlas(relighter.panes, surfaces, tracer, lit)
+        return result, relighter, shown, store.key_of(result)
 
     del scene, asked, objects, at_vertices, making, unfolded
-    result, relighter, key = yield Work(work, alone=True)
+    result, relighter, shown, key = yield Work(work, alone=True)
     scene = context.scene
     report = result.meta["report"]
     yield Progress("Storing", BAKED, report["rays"])
     report["warnings"] = warnings + [w for w in report.get("warnings", []) if w not in warnings]
-    result.meta["static"] = {lamp.name: relight.lamp_key([lamp]) for lamp in surfaces.lights if not lamp.live}
+    still = [lamp for lamp in surfaces.lights if not lamp.live]
+    result.meta["static"] = {lamp.name: lamps.lamp_key([lamp]) for lamp in still}
+    result.meta["static_lamps"] = [lamps.to_json(lamp) for lamp in still]
     result.meta["world"] = world
     _refuse_edited(planned)
     built = yield from mapped(
@@ -136,8 +157,13 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         seen = extract.fingerprint(context)
         result.meta["fingerprint"] = {name: was if name in late else seen.get(name, was) for name, was in found.items()}
         store.write_meta(scene, result.meta)
+        if shown is not None:
+            direct.adopt(scene, shown, result.meta["fingerprint"])
     yield from ending.turn(0.99)
     report["relight_ms"] = round(relight.relight(context), 2)
+    if direct.is_baked(scene):
+        report["direct_ms"] = round(direct.held(scene).milliseconds, 2)
+        report["warnings"] += direct.sentences(scene)
     yield from ending.turn(0.995)
     relight.pack()
     report["total_seconds"] = round(time.perf_counter() - start, 3)
@@ -170,7 +196,9 @@ def clear_scene(context: bpy.types.Context) -> bool:
     scene = context.scene
     nodes.detach(scene)
     twice.give_back(scene)
+    linking.give_back(scene)
     relight.forget(scene)
+    direct.forget(scene)
     found = store.clear(scene)
     _clear_atlas(scene)
     return found

@@ -23,7 +23,7 @@ from ..core.files import replacing
 from ..core.planner import EXITS
 from ..core.rays import EngineError
 from ..core.scene import SceneError
-from . import baking, beside, colours, operators, relight, sequence, store
+from . import baking, beside, colours, direct, operators, relight, sequence, store
 from .colours import KINDS
 
 OK, BAD_INPUT, INTERRUPTED = 0, 2, 130
@@ -78,6 +78,9 @@ def _parser(opened: bool) -> argparse.ArgumentParser:
     bake.add_argument("--time", type=_number(0, 1e6), metavar="S", help="seconds that the bake may take, 0: no limit")
     bake.add_argument("--resolution", type=_number(16, 4096, int), metavar="N", help="atlas size in pixels (256)")
     bake.add_argument("--exits", choices=EXITS, help="where light is gathered (auto: points where that is less work)")
+    bake.add_argument(
+        "--direct", choices=("off", "baked"), help="the lamps' direct light: the engine's, or baked (the scene's)"
+    )
     bake.add_argument("--seed", type=_number(0, 2**31 - 1, int), metavar="N", help="seed of all random numbers (0)")
     bake.add_argument(
         "--storage",
@@ -150,6 +153,7 @@ def _bake(options) -> int:
         ("time_budget", options.time),
         ("resolution", options.resolution),
         ("exits", options.exits and options.exits.upper()),
+        ("direct", options.direct and options.direct.upper()),
         ("seed", options.seed),
         ("storage", options.storage and options.storage.upper()),
     ):
@@ -172,10 +176,14 @@ def _relight(options) -> int:
         bpy.context.scene.frame_set(options.frame)
     milliseconds = relight.relight(bpy.context)
     stale = list(relight.session(bpy.context.scene).stale)
-    for sentence in stale:
+    told = direct.sentences(bpy.context.scene) if direct.is_baked(bpy.context.scene) else []
+    for sentence in stale + told:
         _say(options, f"Warning: {sentence}")
     save_blend(target)
     report = {**context_of(path), "relight_ms": round(milliseconds, 2), "stale": stale, "file": str(target)}
+    if direct.is_baked(bpy.context.scene):
+        report["direct_ms"] = round(direct.held(bpy.context.scene).milliseconds, 2)
+        report["warnings"] = told
     _finish(options, path, target, report)
     _say(options, f"Relit in {milliseconds:.1f} ms. Wrote {target}")
     return OK
@@ -327,12 +335,17 @@ def save_blend(target: Path) -> None:
 
 
 def _finish(options, path: Path, target: Path, report: dict) -> None:
-    """The report, and with --output also the irradiance as an OpenEXR file."""
+    """The report, and with --output also the irradiance, and the direct light where it is baked, as OpenEXR files."""
     if options.output is not None:
-        image = store.find_image(bpy.context.scene, store.IRRADIANCE)
-        picture = target.with_name(f"{target.stem}_irradiance.exr")
-        _replacing(picture, lambda place: image.save(filepath=str(place), save_copy=True))
-        report["irradiance"] = str(picture)
+        scene = bpy.context.scene
+        for role, word in (
+            (store.IRRADIANCE, "irradiance"),
+            *([(store.DIRECT, "direct")] if direct.is_baked(scene) else []),
+        ):
+            image = store.find_image(scene, role)
+            picture = target.with_name(f"{target.stem}_{word}.exr")
+            _replacing(picture, lambda place, image=image: image.save(filepath=str(place), save_copy=True))
+            report[word] = str(picture)
         summary = target.with_name(f"{target.stem}_report.json")
         _replacing(summary, lambda place: place.write_text(json.dumps(report, indent=2) + "\n", "utf-8"))
     _write_report(options, report)
@@ -364,6 +377,7 @@ def _settings(asked) -> dict:
         "time_budget": asked.time_budget,
         "resolution": asked.resolution,
         "exits": asked.exits.lower(),
+        "direct": asked.direct.lower(),
         "seed": asked.seed,
     }
 

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 from ..core.scene import Scene, SceneError, SceneObject
-from . import lamps, materials, refusals, visibility
+from . import lamps, linking, materials, refusals, visibility
 from .meshes import AT_VERTICES, LAYER, Faces, are_numbers, read_attribute, read_faces, weight_of
 from .snapshot import rectangle
 from .unfolded import Unfolded
@@ -197,8 +197,7 @@ def _warn_unsupported(obj, warnings) -> None:
     if obj.type in NOT_TRACED:
         warnings.append(f"'{obj.name}' is {NOT_TRACED[obj.type]}, which neither blocks nor reflects light in a bake.")
         return
-    linking = obj.light_linking
-    if linking and (linking.receiver_collection or linking.blocker_collection):
+    if linking.is_users(obj):
         warnings.append(f"'{obj.name}' uses light linking, which is not honoured: it lights and shadows everything.")
     if obj.type not in GEOMETRY:
         return

@@ -275,6 +275,10 @@ def _probes(context, obstacle):
         former.change(item, "hide_viewport", True)
 
 
+def _lamps_to_engine(context, _obstacle):
+    context.scene.lightpanes.direct = "OFF"
+
+
 def _cycles_bounces(context, _obstacle):
     # what they were before Show in Cycles is remembered by the setting itself
     context.scene.cycles.diffuse_bounces = 0
@@ -306,6 +310,7 @@ FIXES: dict[str, Callable[[bpy.types.Context, Obstacle], list[str] | None]] = {
     "WORLD_OUTDATED": _world_outdated,
     "FAST_GI": _fast_gi,
     "LIGHT_PROBES": _probes,
+    "LAMPS": _lamps_to_engine,
     "CYCLES_BOUNCES": _cycles_bounces,
     "CYCLES_FAST_GI": _cycles_fast_gi,
 }
@@ -334,6 +339,7 @@ HELP = {
     "FAST_GI": "Ray tracing goes on for reflections, and diffuse surfaces get ambient occlusion only. "
     "Clear gives the settings back",
     "LIGHT_PROBES": "Hide the volume probes from renders and viewports. Clear shows them again",
+    "LAMPS": "Take the lamps' direct light out of the bake",
     "CYCLES_BOUNCES": "Leave diffuse bounces to the baked light. Turning Show in Cycles off gives them back",
     "CYCLES_FAST_GI": "Leave ambient light to the baked light. Clear gives the setting back",
 }

@@ -7,24 +7,31 @@ Custom distances and diffuse factors are EEVEE's alone.
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections import Counter
+from collections.abc import Iterable
+from dataclasses import fields
 
 import bpy
 import numpy as np
 
 from ..core.scene import Light, SceneError, Sky
-from . import cycles, environment, groups, visibility
+from . import cycles, environment, groups, linking, visibility
 
 BOUNCES = 8
 """A lamp whose light ends after fewer bounces gets a warning: panes hold all bounces."""
 
 
-def read_lights(depsgraph: bpy.types.Depsgraph, warnings: list[str]) -> tuple[Light, ...]:
+def read_lights(
+    depsgraph: bpy.types.Depsgraph, warnings: list[str], owners: dict[str, bpy.types.Object] | None = None
+) -> tuple[Light, ...]:
     """All lamps that light diffuse surfaces in a render, instanced ones too; their names are unique.
 
-    Lamps that only the viewport hides shine: it is the render that counts.
+    Lamps that only the viewport hides shine: it is the render that counts. owners: filled with each one's object, by
+    the lamp's name.
     """
+    owners = {} if owners is None else owners
     rendered = visibility.rendered_objects(depsgraph.view_layer)
     scene, lights, met = depsgraph.scene, [], set()
     names: Counter[str] = Counter()
@@ -45,11 +52,32 @@ def read_lights(depsgraph: bpy.types.Depsgraph, warnings: list[str]) -> tuple[Li
         names[name] += 1
         if names[name] > 1:
             name = f"{name} {names[name]}"
+        owners[name] = original
         lights.append(_read(obj, np.array(instance.matrix_world, np.float64), scene, warnings, name))
     for obj in sorted(rendered - met, key=lambda o: o.name):
         if obj.type == "LIGHT" and _shines(obj) and not _is_pattern(obj):
+            owners[obj.name] = obj
             lights.append(_read(obj, np.array(obj.matrix_world, np.float64), scene, warnings, obj.name))
     return tuple(light for light in lights if light is not None)
+
+
+def lamp_key(lights: Iterable[Light]) -> str:
+    """Of all that decides the lamps' light, their names included."""
+    digest = hashlib.blake2b(digest_size=12)
+    for light in lights:
+        digest.update(repr((light.name, light.geometry, light.power.tobytes())).encode())
+    return digest.hexdigest()
+
+
+def to_json(light: Light) -> dict:
+    """A lamp as JSON holds it."""
+    plain = lambda value: value.tolist() if isinstance(value, np.ndarray) else value  # noqa: E731
+    return {part.name: plain(getattr(light, part.name)) for part in fields(light)}
+
+
+def from_json(values: dict) -> Light:
+    """The lamp that `to_json` wrote, exactly."""
+    return Light(**{**values, "size": tuple(values["size"])})
 
 
 def read_sky(world: bpy.types.World | None, warnings: list[str]) -> Sky | None:
@@ -157,8 +185,7 @@ def _node_factor(data, warnings, name) -> np.ndarray:
 
 
 def _warn(obj, scene, frame, warnings, name) -> None:
-    linking = obj.light_linking
-    if linking.receiver_collection is not None or linking.blocker_collection is not None:
+    if linking.is_users(obj):
         warnings.append(f"Lamp '{name}' uses light linking, which is not honoured: it lights and shadows all objects.")
     limit = min(BOUNCES, cycles.setting(scene, "max_bounces", BOUNCES))
     bounces = cycles.setting(obj.data.original, "max_bounces", limit)

@@ -81,8 +81,8 @@ def detach(scene: bpy.types.Scene) -> None:
 def show_in_cycles(scene: bpy.types.Scene) -> None:
     """Add or remove, as `scene.lightpanes.cycles` says, what shows the bake in Cycles.
 
-    Cycles brings the first hit of sky and emissive faces itself, so `Lightpanes Direct` is left out there, and its
-    own diffuse bounces, which the bake replaces, are switched off.
+    Cycles brings the first hit of sky and emissive faces itself, so of `Lightpanes Direct` only the lamps' light counts
+    there, and its own diffuse bounces, which the bake replaces, are switched off.
     """
     show = scene.lightpanes.cycles
     for material in bpy.data.materials:
@@ -103,6 +103,24 @@ def show_in_cycles(scene: bpy.types.Scene) -> None:
         cycles.diffuse_bounces = 0
     elif not show:
         _restore_bounces(scene)
+
+
+def rebuild(scene: bpy.types.Scene) -> None:
+    """Make the scene's group anew, in place, after images were added to the bake or taken from it."""
+    group = group_of(scene)
+    if group is not None:
+        group.nodes.clear()
+        _fill_group(scene, group)
+
+
+def shows(item: bpy.types.Object, scene: bpy.types.Scene) -> bool:
+    """Whether all materials of an object show the scene's bake."""
+    group = group_of(scene)
+    pairs = [
+        slot.material is not None and slot.material.node_tree is not None and _pair(slot.material.node_tree, "EEVEE")
+        for slot in item.material_slots
+    ]
+    return bool(pairs) and all(pair and pair[0].node_tree == group for pair in pairs)
 
 
 def _restore_bounces(scene):
@@ -342,7 +360,6 @@ def _emits(tree) -> bool:
 
 
 def _make_group(scene) -> bpy.types.NodeTree:
-    """Shader + albedo × (irradiance + direct) / π as emission, on baked objects, seen by the camera or in mirrors."""
     group = bpy.data.node_groups.new(GROUP, "ShaderNodeTree")
     group[store.TAG] = GROUP
     store.find_entries(scene).data[_GROUP] = group
@@ -353,6 +370,15 @@ def _make_group(scene) -> bpy.types.NodeTree:
     for name in ("Albedo Map", "Direct"):
         sockets.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat").default_value = 0.0
     sockets.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
+    _fill_group(scene, group)
+    return group
+
+
+def _fill_group(scene, group):
+    """Shader + albedo × (irradiance + direct) / π as emission, on baked objects, seen by the camera or in mirrors.
+
+    The input Direct is 0 in engines that bring the first hit of sky and emissive faces themselves.
+    """
     build = _Builder(group)
     entrance, end = build.node("NodeGroupInput"), build.node("NodeGroupOutput")
 
@@ -366,8 +392,15 @@ def _make_group(scene) -> bpy.types.NodeTree:
     mapped = entrance.outputs["Albedo Map"]
     direct = store.find_image(scene, store.DIRECT)
     if direct is not None:
-        share = build.vector("MULTIPLY", build.image(direct, place), entrance.outputs["Direct"])
-        light = build.vector("ADD", light, share)
+        shown = build.image(direct, place)
+        steady = store.find_image(scene, store.STEADY)
+        if steady is not None:
+            share = build.math("SUBTRACT", 1.0, entrance.outputs["Direct"])
+            without = build.vector("MULTIPLY", build.image(steady, place), share)
+            shown = build.vector("SUBTRACT", shown, without)
+        elif store.holds_direct(scene):
+            shown = build.vector("MULTIPLY", shown, entrance.outputs["Direct"])
+        light = build.vector("ADD", light, shown)
     if vertices.lit(scene):
         at_vertices = build.attribute(AT_VERTICES).outputs["Fac"]
         light = build.mix(at_vertices, light, build.attribute(vertices.LIGHT, "GEOMETRY").outputs["Color"])
@@ -389,7 +422,6 @@ def _make_group(scene) -> bpy.types.NodeTree:
     group.links.new(entrance.outputs["Shader"], add.inputs[0])
     group.links.new(emission.outputs[0], add.inputs[1])
     group.links.new(add.outputs[0], end.inputs["Shader"])
-    return group
 
 
 class _Builder:

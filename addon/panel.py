@@ -9,7 +9,7 @@ from functools import lru_cache
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from . import animation, beside, engine, figures, groups, job, obstacles, preflight, relight, store, vertices
+from . import animation, beside, direct, engine, figures, groups, job, obstacles, preflight, relight, store, vertices
 
 MOST_OBSTACLES = 8
 MOST_LAMPS = 24
@@ -210,6 +210,7 @@ class LIGHTPANES_PT_output(_SubPanel, bpy.types.Panel):
         item = context.view_layer.objects.active
         if item is not None and item.type == "MESH" and store.TAG not in item:
             layout.prop(item.lightpanes, "target", text=item.name, translate=False)
+        layout.prop(scene.lightpanes, "direct")
         layout.prop(scene.lightpanes, "storage")
         if beside.problem():
             _sentence(layout, context, beside.problem(), "ERROR")
@@ -222,6 +223,11 @@ class LIGHTPANES_PT_output(_SubPanel, bpy.types.Panel):
                 column.label(text=image.name, icon="IMAGE_DATA", translate=False)
         if (_report(scene) or {}).get("vertices"):
             column.label(text=vertices.LIGHT, icon="GROUP_VERTEX", translate=False)
+        if direct.is_baked(scene):
+            if milliseconds := direct.held(scene).milliseconds:
+                _fact(column, "Last Direct Light", f"{milliseconds:.0f} ms")
+            for sentence in direct.sentences(scene)[:MOST_SENTENCES]:
+                _sentence(column, context, sentence, "DOT")
         layout.prop(scene.lightpanes, "cycles")
         column = layout.column(align=True)
         column.operator("lightpanes.save_images", icon="IMAGE_DATA")
@@ -279,9 +285,12 @@ class LIGHTPANES_PT_light(_Panel, bpy.types.Panel):
         return context.light is not None
 
     def draw(self, context):
-        layout = self.begin()
-        layout.prop(context.light.lightpanes, "live")
-        layout.prop(context.light.lightpanes, "group")
+        layout, settings = self.begin(), context.light.lightpanes
+        layout.prop(settings, "live")
+        layout.prop(settings, "group")
+        row = layout.row()
+        row.active = context.scene.lightpanes.direct == "BAKED"
+        row.prop(settings, "samples")
 
 
 def _report(scene) -> dict | None:

@@ -126,6 +126,7 @@ def _key(context) -> tuple:
         asked.resolution,
         asked.exits,
         asked.cycles,
+        asked.direct,
         store.bake_key(scene),
         twice.only_darkens(scene.eevee),
         scene.eevee.use_raytracing,

@@ -7,17 +7,29 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, Po
 
 
 def _cycles_changed(_settings, context):
-    from . import nodes, store
+    from . import direct, nodes, store
 
     if store.find_entries(context.scene) is not None:
         nodes.show_in_cycles(context.scene)
+        direct.link(context.scene)
 
 
 def _live_changed(settings, context):
-    if settings.live:
-        from . import relight
+    from . import relight
 
+    if settings.live:
         relight.update(context.scene, context.evaluated_depsgraph_get())
+
+
+def _direct_changed(settings, context):
+    from . import preflight, relight
+
+    preflight.forget()
+    relight.switch_direct(context, settings.id_data)
+
+
+def _samples_changed(_settings, context):
+    _live_changed(context.scene.lightpanes, context)
 
 
 def _plan_changed(_settings, _context):
@@ -79,6 +91,22 @@ class SceneSettings(bpy.types.PropertyGroup):
         default=True,
         update=_live_changed,
     )
+    direct: EnumProperty(
+        name="Direct Light",
+        description="What brings the lamps' direct light to baked objects. Objects lit at their vertices, and those that "
+        "are not baked, get it from the engine either way",
+        items=(
+            ("OFF", "Engine", "The engine that renders: the lamps shine as ever"),
+            (
+                "BAKED",
+                "Baked",
+                "The image Lightpanes Direct, soft shadows included, live as lamps move. Lamps then leave baked objects "
+                "alone, by light linking",
+            ),
+        ),
+        default="OFF",
+        update=_direct_changed,
+    )
     seed: IntProperty(name="Seed", description="The same seed gives the same bake", default=0, min=0, max=2**31 - 1)
     cycles: BoolProperty(
         name="Show in Cycles",
@@ -110,6 +138,8 @@ class SceneSettings(bpy.types.PropertyGroup):
     )
     # Cycles' diffuse bounces before `cycles` set them to 0; -1 while it has not.
     diffuse_bounces: IntProperty(default=-1, options={"HIDDEN"})
+    # What lamps leave alone while `direct` is BAKED, as excluded members (see linking).
+    receivers: PointerProperty(type=bpy.types.Collection, options={"HIDDEN"})
     # The bake that belongs to the scene: changing this one pointer is the swap from the old bake to the new.
     entries: PointerProperty(type=bpy.types.Object, options={"HIDDEN"})
 
@@ -156,6 +186,16 @@ class LightSettings(bpy.types.PropertyGroup):
     group: StringProperty(
         name="Group",
         description="Lamps of one group share an image wherever baked light is written by group",
+    )
+    samples: IntProperty(
+        name="Samples",
+        description="Samples of this lamp for its soft shadows where direct light is baked. 0: as many as the error asks "
+        "for",
+        default=0,
+        min=0,
+        soft_max=1024,
+        max=4096,
+        update=_samples_changed,
     )
 
 

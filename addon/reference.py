@@ -17,6 +17,7 @@ import bpy
 import numpy as np
 
 from ..core.scene import SceneError
+from . import linking
 from .atlas import LAYER
 
 UNBIASED = {
@@ -102,7 +103,7 @@ def cycles_bake(
     image = bpy.data.images.new("Lightpanes Reference", resolution, resolution, alpha=True, float_buffer=True)
     image.colorspace_settings.name = "Non-Color"
     try:
-        with _settings(scene, spp, seed, bounces), _placed(objects), _targets(objects, image):
+        with linking.suspended(scene), _settings(scene, spp, seed, bounces), _placed(objects), _targets(objects, image):
             context.view_layer.update()
             started = time.perf_counter()
             with context.temp_override(

@@ -30,7 +30,7 @@ def _on_rendered(*_):
     from . import store
 
     for image in bpy.data.images:
-        if image.get(store.TAG) == store.IRRADIANCE:
+        if image.get(store.TAG) in {store.IRRADIANCE, store.DIRECT}:
             _rendered[image.session_uid] = image.alpha_mode
 
 

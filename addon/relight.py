@@ -6,34 +6,30 @@ from them is kept in a session per scene and made anew when it is missing, so a 
 
 from __future__ import annotations
 
-import hashlib
 import threading
 import time
-from collections.abc import Iterable
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 
 import bpy
-from bpy.app.handlers import persistent
 
 from ..core.bake import BakeError
-from ..core.panes import Relighter
+from ..core.panes import Panes, Relighter
 from ..core.rays import Tracer
-from ..core.scene import Light, SceneError
+from ..core.scene import Light, Scene, SceneError
 from . import (
+    direct,
     engine,
     environment,
     extract,
-    handlers,
     lamps,
     meshes,
-    overlay,
     points,
     store,
     vertices,
     visibility,
-    waiting,
 )
+from .lamps import lamp_key
 
 
 @dataclass
@@ -46,6 +42,9 @@ class Session:
     shown: str = ""  # key of the lamps that the image shows
     last: dict[str, Light] = field(default_factory=dict)  # the lamps that the image shows, by name
     static: dict[str, str] = field(default_factory=dict)  # keys of the lamps that are baked in, by name
+    baked_in: tuple[Light, ...] = ()  # these lamps, as they were baked
+    owners: dict[str, bpy.types.Object] = field(default_factory=dict)  # objects of the lamps last read, by lamp's name
+    read: tuple[Scene, Tracer] | None = None  # surfaces just read, for the direct light
     panes: bool = True  # whether the bake holds any
     stale: tuple[str, ...] = ()
     followed: str = ""  # key of the surfaces where the points are
@@ -58,8 +57,6 @@ class Session:
 
 # On `Lightpanes Irradiance`: key of the lamps that its packed pixels show, so that opening a file costs nothing.
 PACKED = "lightpanes_lamps"
-# Seconds after the last edit of a mesh at which the bake is checked against it.
-STALE_DELAY = 0.5
 
 _sessions: dict[int, Session] = {}
 # Renders run frame changes outside the main thread; a relighter has one set of buffers.
@@ -85,7 +82,8 @@ def session(scene: bpy.types.Scene) -> Session | None:
 def _begin(scene, key, **more) -> Session:
     meta = store.read_meta(scene) or {}
     panes = "panes" not in meta.get("report", {}).get("skipped", {})
-    return Session(key, static=meta.get("static", {}), panes=panes, **more)
+    baked_in = tuple(lamps.from_json(values) for values in meta.get("static_lamps", ()))
+    return Session(key, static=meta.get("static", {}), baked_in=baked_in, panes=panes, **more)
 
 
 def forget(scene: bpy.types.Scene) -> None:
@@ -94,6 +92,7 @@ def forget(scene: bpy.types.Scene) -> None:
 
 def adopt(scene: bpy.types.Scene, relighter: Relighter) -> None:
     """Use this relighter, just made by a bake, instead of making one from the .blend."""
+    direct.forget(scene)
     _sessions[scene.session_uid] = _begin(scene, store.bake_key(scene), relighter=relighter)
 
 
@@ -117,7 +116,8 @@ def held():
 
 
 def relight(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph | None = None) -> float:
-    """Bring the scene's `Lightpanes Irradiance` up to date with its lamps; returns milliseconds.
+    """Bring the scene's `Lightpanes Irradiance` up to date with its lamps, and `Lightpanes Direct` where it holds their
+    light; returns milliseconds of the former.
 
     All lamps are read anew, those that stopped being live after the bake included. Raises SceneError when there is no
     bake or when it can't be used.
@@ -130,14 +130,19 @@ def relight(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph | None = 
         if current is None:
             raise SceneError(f"Scene '{scene.name}' has no bake; press Bake first.")
         current.last.clear()
-        _apply(context, scene, current, _read_lights(depsgraph or context.evaluated_depsgraph_get(), current))
+        if direct.is_baked(scene):
+            direct.look_again(scene, extract.fingerprint(context))
+        lights = _read_lights(depsgraph or context.evaluated_depsgraph_get(), current)
+        _apply(context, scene, current, lights)
+        _apply_direct(context, scene, current, lights)
     check_stale(context)
     return current.milliseconds
 
 
-def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Relight if a lamp differs from what the image shows; True when it did.
+def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, at_once: bool = True) -> bool:
+    """Relight if a lamp differs from what the images show; True when it did.
 
+    at_once: the lamps' direct light, too, where it is baked; else that follows soon.
     For handlers: what the user must know goes to the console and into the session, for the panel, once.
     """
     if _holds or not scene.lightpanes.live or not _lock.acquire(blocking=False):
@@ -150,17 +155,19 @@ def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
         key = lamp_key(lights)
         if current.owes and not meshes.in_edit_mode():
             current.shown = ""
-        if key == current.shown or not engine.ready():
+        changed = key != current.shown
+        if not (changed or direct.is_baked(scene)) or not engine.ready():
             return False
         try:
-            _apply(bpy.context, scene, current, lights)
+            if changed:
+                _apply(bpy.context, scene, current, lights)
+            return _apply_direct(bpy.context, scene, current, lights, at_once) or changed
         except (SceneError, BakeError) as error:
             current.shown = key  # the same lamps would fail the same way
             if current.error != str(error):
                 current.error = str(error)
                 print(f"Lightpanes: {error}")
             return False
-        return True
     finally:
         _lock.release()
 
@@ -175,6 +182,7 @@ def check_stale(context: bpy.types.Context) -> tuple[str, ...]:
     now = extract.fingerprint(context)
     if not extract.changed_objects(meta["fingerprint"], now) and not meshes.in_edit_mode():
         _read_again(current)
+    direct.look_again(scene, now)
     current.stale = differences(meta["fingerprint"], now) + _follow(context, current, meta, now)
     if meta.get("world", environment.digest(scene.world)) != environment.digest(scene.world):
         current.stale += ("The world was changed since the bake; bake again.",)
@@ -240,14 +248,16 @@ def _read_lights(depsgraph, current: Session, rendering: bool = False) -> tuple[
     """The lamps that a render or a viewport shows; those that are not live as they were when last shown, and those
     that are baked in not at all."""
     scene, layer, hidden = depsgraph.scene.original, depsgraph.view_layer.name, set()
+    owners: dict[str, bpy.types.Object] = {}
     if rendering or not _is_viewport(depsgraph):
         # a render's own depsgraph holds what the viewport hides; a window has nothing to show such lamps for
         asleep = bpy.app.background and depsgraph.mode == "VIEWPORT"
         with visibility.awake(scene.view_layers[layer]) if asleep else nullcontext():
-            shining = lamps.read_lights(depsgraph, [])
+            shining = lamps.read_lights(depsgraph, [], owners)
     else:
-        shining, hidden = lamps.read_lights(depsgraph, []), _hidden_lamps(scene, layer)
+        shining, hidden = lamps.read_lights(depsgraph, [], owners), _hidden_lamps(scene, layer)
     lights = []
+    current.owners = owners
     for light in shining:
         if light.name not in hidden and light.name not in current.static:
             shown = replace(light, live=True)
@@ -263,14 +273,6 @@ def _is_viewport(depsgraph) -> bool:
 def _hidden_lamps(scene, view_layer: str) -> set[str]:
     layer = scene.view_layers[view_layer]
     return {item.name for item in scene.objects if item.type == "LIGHT" and not item.visible_get(view_layer=layer)}
-
-
-def lamp_key(lights: Iterable[Light]) -> str:
-    """Of all that decides the lamps' light, their names included."""
-    digest = hashlib.blake2b(digest_size=12)
-    for light in lights:
-        digest.update(repr((light.name, light.geometry, light.power.tobytes())).encode())
-    return digest.hexdigest()
 
 
 def _apply(context, scene, current: Session, lights):
@@ -295,6 +297,46 @@ def _apply(context, scene, current: Session, lights):
         raise SceneError(" ".join(told))
 
 
+def _apply_direct(context, scene, current: Session, lights, at_once: bool = True) -> bool:
+    """Whether the lamps' direct light is baked and had to change."""
+    if not direct.is_baked(scene):
+        return False
+    asked = direct.ask(scene, lights, current.baked_in, current.owners)
+    return direct.update(context, scene, asked, lambda: surfaces_of(context, current), at_once)
+
+
+def switch_direct(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
+    """After `scene.lightpanes.direct` was set: bring the lamps' direct light into the bake, or take it out."""
+    current = session(scene)
+    if current is None:
+        return
+    if scene.lightpanes.direct == "OFF":
+        with _lock:
+            direct.end(scene)
+    elif scene == context.scene and engine.ready():
+        with _lock:
+            try:
+                lights = _read_lights(context.evaluated_depsgraph_get(), current)
+                _apply_direct(context, scene, current, lights)
+            except (SceneError, BakeError) as error:
+                current.error = str(error)
+                print(f"Lightpanes: {error}")
+    redraw_panel()
+
+
+def surfaces_of(context: bpy.types.Context, current: Session) -> tuple[Panes, Scene, Tracer]:
+    """The bake's panes, and the scene's surfaces as they are now, with their shadow rays.
+
+    Raises SceneError where these can't be used.
+    """
+    panes = relighter_of(context, current).panes
+    read, current.read = current.read, None
+    if read is None:
+        surfaces = extract.extract(context, resolution=panes.resolution, albedo=False)
+        read = surfaces, Tracer(surfaces)
+    return panes, *read
+
+
 def relighter_of(context: bpy.types.Context, current: Session) -> Relighter:
     """The session's relighter, made from the bake and the meshes in the .blend where there is none yet.
 
@@ -310,59 +352,10 @@ def relighter_of(context: bpy.types.Context, current: Session) -> Relighter:
         changed = extract.changed_objects(bake.meta.get("fingerprint", {}), extract.fingerprint(context))
         # what is in Edit Mode has its new shape already
         current.edited = bool(changed) or meshes.in_edit_mode()
-        current.relighter = Relighter(bake.panes(), Tracer(geometry))
+        tracer = Tracer(geometry)
+        current.relighter = Relighter(bake.panes(), tracer)
+        current.read = (geometry, tracer) if direct.is_baked(scene) else None
     return current.relighter
-
-
-@persistent
-def _on_update(scene, depsgraph):
-    if store.bake_key(scene) is None:
-        return
-    if bpy.app.background:
-        update(scene, depsgraph)
-        return
-    # One relight for all that happens before Blender is idle again.
-    if not bpy.app.timers.is_registered(_update_later):
-        bpy.app.timers.register(_update_later, first_interval=0.0)
-    current = session(scene)
-    edits = [change for change in depsgraph.updates if _may_stale(current, change)]
-    current.wrote_meshes = False
-    if edits:
-        if bpy.app.timers.is_registered(_stale_later):
-            bpy.app.timers.unregister(_stale_later)
-        bpy.app.timers.register(_stale_later, first_interval=STALE_DELAY)
-
-
-def _may_stale(current: Session, change) -> bool:
-    """Whether a change can make the bake stale: to an object's shape or place, to the world, or to a lamp that is
-    baked in."""
-    lamp = isinstance(change.id, bpy.types.Light) or (
-        isinstance(change.id, bpy.types.Object) and change.id.type == "LIGHT"
-    )
-    if lamp:
-        return bool(current.static) or not current.panes
-    if isinstance(change.id, bpy.types.World):
-        return True
-    if not isinstance(change.id, bpy.types.Object) or store.TAG in change.id:
-        return False
-    own = current.wrote_meshes and meshes.AT_VERTICES in change.id
-    return change.is_updated_transform or (change.is_updated_geometry and not own)
-
-
-def _update_later():
-    if waiting.renders():
-        return  # the render's own frame changes relight
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    update(depsgraph.scene.original, depsgraph)
-    redraw_panel()
-    overlay.redraw()
-
-
-def _stale_later():
-    if not waiting.renders():
-        check_stale(bpy.context)
-        redraw_panel()
-        overlay.redraw()
 
 
 def redraw_panel() -> None:
@@ -373,14 +366,12 @@ def redraw_panel() -> None:
                 area.tag_redraw()
 
 
-@persistent
-def _on_frame(scene, depsgraph):
-    update(scene, depsgraph)
-
-
-@persistent
-def _on_render(scene, *_):
-    """A render shows lamps that the viewport may hide."""
+def prepare_render(scene: bpy.types.Scene) -> None:
+    """Show what a render is to show: lamps that the viewport may hide, and direct light in full."""
+    if direct.is_baked(scene):
+        with _lock:
+            direct.finish(scene)
+            direct.link(scene)
     if not scene.lightpanes.live or scene != bpy.context.scene:
         return
     with _lock:
@@ -389,37 +380,31 @@ def _on_render(scene, *_):
             return
         try:
             lights = _read_lights(bpy.context.evaluated_depsgraph_get(), current, rendering=True)
-            if lamp_key(lights) != current.shown and engine.ready():
-                _apply(bpy.context, scene, current, lights)
+            if engine.ready():
+                if lamp_key(lights) != current.shown:
+                    _apply(bpy.context, scene, current, lights)
+                _apply_direct(bpy.context, scene, current, lights)
         except (SceneError, BakeError) as error:
             current.error = str(error)
             print(f"Lightpanes: {error}")
 
 
-@persistent
-def _on_rendered(*_):
-    if not bpy.app.background and not bpy.app.timers.is_registered(_update_later):
-        bpy.app.timers.register(_update_later, first_interval=0.1)
-
-
-@persistent
-def _on_undo(scene, *_):
+def undone(scene: bpy.types.Scene) -> None:
     """Undo brings back an image's packed pixels or keeps its last ones: neither need be what the lamps now ask for."""
     for current in _sessions.values():
         current.shown = current.followed = ""
         _read_again(current)
         current.error = ""
+    direct.undone()
+    if session(scene) is not None and not direct.is_baked(scene):
+        direct.end(scene)
     update(scene, bpy.context.evaluated_depsgraph_get())
 
 
-@persistent
-def _on_load(*_):
+def stop() -> None:
+    """Forget everything, as when another file is opened."""
     _sessions.clear()
-
-
-@persistent
-def _on_save(*_):
-    pack()
+    direct.stop()
 
 
 def pack() -> None:
@@ -430,31 +415,7 @@ def pack() -> None:
         if current is not None and image is not None and image.is_dirty:
             # copies of a scene share it, and one of them has written it
             shown[image] = shown.get(image) or current.shown
+        direct.note_packed(scene)
     for image, key in shown.items():
         image[PACKED] = key
     store.pack_dirty()
-
-
-HANDLERS = {
-    "depsgraph_update_post": _on_update,
-    "frame_change_post": _on_frame,
-    "render_init": _on_render,
-    "render_complete": _on_rendered,
-    "render_cancel": _on_rendered,
-    "undo_post": _on_undo,
-    "redo_post": _on_undo,
-    "load_post": _on_load,
-    "save_pre": _on_save,
-}
-
-
-def register() -> None:
-    handlers.add(HANDLERS)
-
-
-def unregister() -> None:
-    handlers.remove(HANDLERS)
-    for timer in (_update_later, _stale_later):
-        if bpy.app.timers.is_registered(timer):
-            bpy.app.timers.unregister(timer)
-    _sessions.clear()

@@ -12,7 +12,7 @@ from ..core import exr
 from ..core.bake import BakeError
 from ..core.files import replacing
 from ..core.scene import SceneError
-from . import groups, relight, store
+from . import direct, groups, relight, store
 
 BY_GROUP = (
     "Also write an image for each group of lamps, for those without one, and for the light that no lamp changes. "
@@ -31,6 +31,7 @@ def save_images(context: bpy.types.Context, folder: Path, by_group: bool = False
     naming the file, when it can't be written, or when there is no bake.
     """
     scene = context.scene
+    direct.finish(scene)
     images = [image for role in ROLES if (image := store.find_image(scene, role)) is not None]
     if not images:
         raise SceneError(f"Scene '{scene.name}' has no bake; press Bake first.")

@@ -3,7 +3,9 @@
 A folder gets `irradiance_0001.exr` and so on, one a frame: irradiance in W/m², linear Rec.709, the receiver's own colour
 divided out, so that outgoing radiance = albedo × irradiance / π. `lightpanes_animation.json` beside them says which
 frames there are and where in the atlas each object lies; `direct.exr` is the first hit of sky and emissive faces, to be
-added, where the bake holds it. By group, `irradiance_0001_GROUP.exr` and `irradiance_Steady.exr` sum up to the whole. All files of a run appear at once when its last frame is done, or not at all.
+added, where the bake holds it. Where the lamps' direct light is baked, each frame has its own instead, `direct_0001.exr`
+and so on. By group, `irradiance_0001_GROUP.exr` and `irradiance_Steady.exr` sum up to the whole. All files of a run
+appear at once when its last frame is done, or not at all.
 """
 
 from __future__ import annotations
@@ -22,14 +24,15 @@ from ..core import exr
 from ..core.bake import Progress
 from ..core.files import filling
 from ..core.scene import Light, SceneError
-from . import engine, extract, groups, lamps, nodes, relight, store, vertices, visibility
+from . import direct, engine, extract, groups, lamps, nodes, relight, store, vertices, visibility
 from .work import run
 
 FOLDER = "lightpanes_irradiance"
 MANIFEST = "lightpanes_animation.json"
 DIRECT = "direct.exr"
-SCHEMA = 1
-"""Of the manifest: another number where a reader of the former one would go wrong."""
+SCHEMA, SCHEMA_DIRECT = 1, 2
+"""Of the manifest: another number where a reader of the former one would go wrong. The second: with direct light that
+each frame has its own of."""
 
 Steps = Generator[Progress, None, dict]
 
@@ -121,11 +124,13 @@ def _write_images(context, stage: Path, frames: range, manifest: dict) -> Steps:
     current = relight.session(scene)
     yield Progress("Reading the bake", 0.0, 0)
     warnings = _Warnings(context, current, frames)
-    direct = _direct(scene)
-    if direct is not None:
-        yield from (Progress("Direct light", 0.0, 0) for _ in exr.writing(stage / DIRECT, direct))
+    each = direct.is_baked(scene)
+    steady = None if each else _direct(scene)
+    if steady is not None:
+        yield from (Progress("Direct light", 0.0, 0) for _ in exr.writing(stage / DIRECT, steady))
         manifest["direct"] = DIRECT
     names = [entry["group"] or "" for entry in manifest.get("groups", ())]
+    lit = _Frames(context, current, stage) if each else None
     shown, former = "", []
     for number, entry in enumerate(manifest["frames"]):
         if context.scene != scene or relight.session(scene) is not current:
@@ -152,8 +157,39 @@ def _write_images(context, stage: Path, frames: range, manifest: dict) -> Steps:
                 for part in exr.writing(stage / file, picture):
                     yield Progress("Frames", (number + (done + part) / len(files)) / len(frames), 0)
         former = files
+        if lit is not None:
+            for _ in lit.writing(entry["direct"], lights, warnings.owners):
+                yield Progress("Frames", (number + 1) / len(frames), 0)
         yield Progress("Frames", (number + 1) / len(frames), 0)
     manifest["warnings"] += warnings.sentences()
+    if lit is not None:
+        manifest["warnings"] += lit.told
+
+
+class _Frames:
+    """Writes the direct light of each frame, sky and emissive faces included.
+
+    told: sentences about lamps that are left out of it.
+    """
+
+    def __init__(self, context, current: relight.Session, stage: Path):
+        self.context, self.current, self.stage = context, current, stage
+        self.key, self.place, self.told = "", None, []
+
+    def writing(self, name: str, lights, owners) -> Generator[float, None, None]:
+        """One file, in parts of itself that are done."""
+        asked = direct.ask(self.context.scene, lights, self.current.baked_in, owners)
+        self.told += [sentence for sentence in asked[1] if sentence not in self.told]
+        former, self.place = self.place, self.stage / name
+        if asked[0].key == self.key:
+            shutil.copyfile(former, self.place)
+            return
+        self.key = asked[0].key
+        with relight.paused():
+            light = direct.values(
+                self.context, self.context.scene, asked, lambda: relight.surfaces_of(self.context, self.current)
+            )
+        yield from exr.writing(self.place, light)
 
 
 def _irradiance(context, current: relight.Session, lights) -> np.ndarray:
@@ -177,12 +213,14 @@ class _Warnings:
         # hashing every mesh takes longer than a frame's light
         self.sampled = {frames[0], frames[len(frames) // 2], frames[-1]}
         self.found: dict[tuple, str] = {}
+        self.owners: dict[str, bpy.types.Object] = {}
         if not current.panes:
             self.found["panes",] = "This bake has no live lamp, so all frames show the same light."
 
     def look(self, frame: int) -> tuple[Light, ...]:
         """The lamps that shine in this frame and are not baked in; those switched off from live count, too."""
-        shining = lamps.read_lights(self.context.evaluated_depsgraph_get(), [])
+        self.owners = {}
+        shining = lamps.read_lights(self.context.evaluated_depsgraph_get(), [], self.owners)
         now = {light.name: relight.lamp_key([light]) for light in shining if light.name in self.current.static}
         for name, key in self.current.static.items():
             if now.get(name) != key:
@@ -218,8 +256,9 @@ def _manifest(scene, frames: range) -> dict:
             if without
             else "No object of this bake is left in the scene; bake again."
         )
+    each = direct.is_baked(scene)
     return {
-        "schema": SCHEMA,
+        "schema": SCHEMA_DIRECT if each else SCHEMA,
         "unit": "W/m²",
         "quantity": "irradiance",
         "color_space": "linear Rec.709",
@@ -227,7 +266,10 @@ def _manifest(scene, frames: range) -> dict:
         "uv_layer": nodes.UV_LAYER,
         "resolution": list(image.size),
         "fps": scene.render.fps / scene.render.fps_base,
-        "frames": [{"frame": frame, "file": _file_name(frame)} for frame in frames],
+        "frames": [
+            {"frame": frame, "file": _file_name(frame)} | ({"direct": _file_name(frame, "direct")} if each else {})
+            for frame in frames
+        ],
         "direct": None,
         "objects": [
             {
@@ -252,9 +294,9 @@ def _name_groups(manifest: dict, names: list[str]) -> None:
         entry["groups"] = {part: f"{stem}_{part}.exr" for part in parts.values()}
 
 
-def _file_name(frame: int) -> str:
+def _file_name(frame: int, what: str = "irradiance") -> str:
     """As Blender numbers a sequence."""
-    return f"irradiance_{'-' * (frame < 0)}{abs(frame):04d}.exr"
+    return f"{what}_{'-' * (frame < 0)}{abs(frame):04d}.exr"
 
 
 def _direct(scene) -> np.ndarray | None:
@@ -271,7 +313,7 @@ def _direct(scene) -> np.ndarray | None:
 def _leftovers(folder: Path, stage: Path) -> list[str]:
     """A warning where images of an earlier run will lie among the new ones."""
     new = {path.name for path in stage.iterdir()}
-    old = sorted(path.name for pattern in ("irradiance_*.exr", DIRECT) for path in folder.glob(pattern))
+    old = sorted(path.name for pattern in ("irradiance_*.exr", "direct_*.exr", DIRECT) for path in folder.glob(pattern))
     old = [name for name in old if name not in new]
     if not old:
         return []

@@ -21,7 +21,7 @@ import numpy as np
 
 from ..core.bake import Bake
 from ..core.scene import SceneError
-from . import refresh
+from . import attributes, refresh
 from .work import run
 
 COLLECTION = "Lightpanes"
@@ -29,6 +29,8 @@ ENTRIES = "Lightpanes Entries"
 POINTS = "Lightpanes Points"
 IRRADIANCE = "Lightpanes Irradiance"
 DIRECT = "Lightpanes Direct"
+# What `Lightpanes Direct` holds without the lamps; there while their light is in it, too.
+STEADY = "Lightpanes Direct Steady"
 ALBEDO = "Lightpanes Albedo"
 SHOWN = (IRRADIANCE, DIRECT, ALBEDO)
 
@@ -45,14 +47,6 @@ KEY = "lightpanes_key"
 REST = "rest_{}"
 
 FORMAT = 1
-_ATTRIBUTE_TYPES = {(): "FLOAT", (2,): "FLOAT2", (3,): "FLOAT_VECTOR", (4,): "FLOAT_COLOR"}
-_ATTRIBUTE_FIELDS = {
-    "FLOAT": "value",
-    "INT": "value",
-    "FLOAT2": "vector",
-    "FLOAT_VECTOR": "vector",
-    "FLOAT_COLOR": "color",
-}
 _FLAT_WIDTH = 1024
 
 
@@ -139,11 +133,12 @@ def load_bake(scene: bpy.types.Scene) -> Bake | None:
     mesh = entries.data
     try:
         layout, meta = json.loads(mesh[LAYOUT]), json.loads(mesh[META])
-        arrays = {name: _read_attribute(mesh, name, *spec) for name, spec in layout["entries"].items()}
+        arrays = {name: attributes.read(mesh, name, *spec) for name, spec in layout["entries"].items()}
         points = _read_points(mesh, layout.get("points", {}))
         stored = mesh[IMAGES]
         images = {role: _read_array(stored[role], role) for role in layout["images"]}
-        direct = _read_array(stored[DIRECT], DIRECT)[..., :3].copy() if layout["direct"] else None
+        role = STEADY if STEADY in stored else DIRECT
+        direct = _read_array(stored[role], role)[..., :3].copy() if layout["direct"] else None
         resolution = int(layout["resolution"])
     except SceneError:
         raise
@@ -200,6 +195,41 @@ def need(image: bpy.types.Image) -> bpy.types.Image:
     return image
 
 
+def add_image(scene: bpy.types.Scene, role: str, pixels: np.ndarray) -> bpy.types.Image:
+    """Give the scene's bake one more image, (H, W, 4) float32."""
+    image = _new_image(role, pixels, pixels.shape, [])
+    image.pack()
+    find_entries(scene).data[IMAGES][role] = image
+    return image
+
+
+def drop_image(scene: bpy.types.Scene, role: str) -> None:
+    """Take an image out of the scene's bake and delete it; none does no harm."""
+    image, images = find_image(scene, role), find_entries(scene).data[IMAGES]
+    if role in images:
+        del images[role]
+    if image is not None:
+        _remove([image])
+
+
+def read_image(scene: bpy.types.Scene, role: str) -> np.ndarray | None:
+    """(H, W, 4) float32 that an image of the bake shows, None without it."""
+    image = find_image(scene, role)
+    if image is None:
+        return None
+    if not image.has_data:
+        image.pixels[0]  # reads the packed file
+    width, height = image.size
+    pixels = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(pixels)
+    return pixels.reshape(height, width, 4)
+
+
+def holds_direct(scene: bpy.types.Scene) -> bool:
+    """Whether sky or emissive faces gave the scene's bake direct light."""
+    return bool(json.loads(find_entries(scene).data[LAYOUT])["direct"])
+
+
 def read_meta(scene: bpy.types.Scene) -> dict | None:
     """`bake.meta` without reading the rest; None without a bake."""
     entries = find_entries(scene)
@@ -224,9 +254,14 @@ def bake_key(scene: bpy.types.Scene) -> str | None:
 
 def write_irradiance(scene: bpy.types.Scene, pixels: np.ndarray) -> None:
     """Show `pixels`, (H, W, 4) float32, in the scene's `Lightpanes Irradiance`."""
-    image = find_image(scene, IRRADIANCE)
+    write_image(scene, IRRADIANCE, pixels)
+
+
+def write_image(scene: bpy.types.Scene, role: str, pixels: np.ndarray) -> None:
+    """Show `pixels`, (H, W, 4) float32, in an image of the bake; whoever draws it is told."""
+    image = find_image(scene, role)
     if image is None:
-        raise SceneError(f"The image '{IRRADIANCE}' has been deleted; bake again.")
+        raise SceneError(f"The image '{role}' has been deleted; bake again.")
     height, width = pixels.shape[:2]
     cycles = scene.render.engine == "CYCLES"
     if cycles:
@@ -277,6 +312,11 @@ def strays(scene: bpy.types.Scene) -> list[bpy.types.Object]:
         for item in scene.objects
         if item.get(TAG) == ENTRIES and item.type == "MESH" and item.library is None and item not in used
     ]
+
+
+def opaque(rgb: np.ndarray) -> np.ndarray:
+    """(H, W, 4) float32 of (H, W, 3), alpha 1."""
+    return np.concatenate([rgb[..., :3].astype(np.float32), np.ones((*rgb.shape[:2], 1), np.float32)], axis=2)
 
 
 def sweep() -> None:
@@ -336,7 +376,7 @@ def _write_points(bake: Bake, made: list) -> tuple[bpy.types.Object | None, dict
     if not bake.points:
         return None, {}
     mesh, specs = _write_vertices(POINTS, bake.points, made)
-    _fill(mesh, "irradiance", "FLOAT_COLOR", np.zeros((len(mesh.vertices), 4), np.float32))
+    attributes.fill(mesh, "irradiance", "FLOAT_COLOR", np.zeros((len(mesh.vertices), 4), np.float32))
     mesh.update()
     return _hidden_object(POINTS, mesh, made), specs
 
@@ -348,7 +388,7 @@ def _read_points(mesh, specs: dict) -> dict[str, np.ndarray]:
     if points is None:
         raise ValueError(f"the object '{POINTS}' has been deleted")
     moved = {name: REST.format(name) for name in specs if REST.format(name) in points.data.attributes}
-    return {name: _read_attribute(points.data, moved.get(name, name), *spec) for name, spec in specs.items()}
+    return {name: attributes.read(points.data, moved.get(name, name), *spec) for name, spec in specs.items()}
 
 
 def _write_vertices(name: str, arrays: dict, made: list) -> tuple[bpy.types.Mesh, dict]:
@@ -357,7 +397,7 @@ def _write_vertices(name: str, arrays: dict, made: list) -> tuple[bpy.types.Mesh
     made.append(mesh)
     mesh[TAG] = name
     mesh.vertices.add(len(arrays["position"]))
-    return mesh, {key: _write_attribute(mesh, key, array) for key, array in arrays.items()}
+    return mesh, {key: attributes.write(mesh, key, array) for key, array in arrays.items()}
 
 
 def _hidden_object(name: str, mesh, made: list) -> bpy.types.Object:
@@ -395,56 +435,6 @@ def key_of(bake: Bake) -> str:
             digest.update(name.encode())
             digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()
-
-
-def _write_attribute(mesh: bpy.types.Mesh, name: str, array: np.ndarray) -> list:
-    """[dtype, shape] of what was written, from which `_read_attribute` restores the array exactly."""
-    array = np.asarray(array)
-    count = len(mesh.vertices)
-    if len(array) != count:
-        raise SceneError(f"The bake's '{name}' has {len(array)} rows for {count} entries.")
-    if array.dtype.kind in "iub" and np.array_equal(array, array.astype(np.int32)):
-        columns, kind = array.astype(np.int32), "INT"
-    elif array.dtype.kind == "f" and array.dtype.itemsize <= 4:
-        columns, kind = array.astype(np.float32), None
-    else:
-        raise SceneError(f"The bake's '{name}' is {array.dtype}; 32-bit floats and integers can be stored.")
-    trailing = array.shape[1:]
-    if kind is None and trailing in _ATTRIBUTE_TYPES:
-        if name == "position" and trailing == (3,):
-            mesh.attributes["position"].data.foreach_set("vector", columns.reshape(-1))
-        else:
-            _fill(mesh, name, _ATTRIBUTE_TYPES[trailing], columns)
-    elif trailing == ():
-        _fill(mesh, name, kind, columns)
-    else:
-        for k, column in enumerate(columns.reshape(count, -1).T):
-            _fill(mesh, f"{name}.{k}", kind or "FLOAT", column)
-    return [array.dtype.str, list(array.shape)]
-
-
-def _fill(mesh, name, kind, values):
-    attribute = mesh.attributes.new(name, kind, "POINT")
-    if attribute.name != name:
-        raise SceneError(f"The bake's '{name}' has a name that Blender keeps for itself.")
-    attribute.data.foreach_set(_ATTRIBUTE_FIELDS[kind], np.ascontiguousarray(values).reshape(-1))
-
-
-def _read_attribute(mesh: bpy.types.Mesh, name: str, dtype: str, shape: list) -> np.ndarray:
-    if name in mesh.attributes:
-        return _read_data(mesh.attributes[name], shape).astype(dtype).reshape(shape)
-    width = int(np.prod(shape[1:]))
-    columns = [_read_data(mesh.attributes[f"{name}.{k}"], shape[:1]) for k in range(width)]
-    empty = np.empty((shape[0], 0), dtype)
-    return (np.stack(columns, axis=1) if columns else empty).astype(dtype).reshape(shape)
-
-
-def _read_data(attribute, shape) -> np.ndarray:
-    if len(attribute.data) != shape[0]:
-        raise ValueError(f"{attribute.name} has {len(attribute.data)} values for {shape[0]} entries")
-    values = np.empty(int(np.prod(shape)), np.int32 if attribute.data_type == "INT" else np.float32)
-    attribute.data.foreach_get(_ATTRIBUTE_FIELDS[attribute.data_type], values)
-    return values
 
 
 def _collection(scene: bpy.types.Scene) -> bpy.types.Collection:

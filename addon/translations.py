@@ -80,6 +80,24 @@ GERMAN = {
     "Live": "Live",
     "Let the indirect light follow the lamps at once when they move or change":
         "Das indirekte Licht folgt den Lampen sofort, wenn sie sich bewegen oder ändern",
+    "Direct Light": "Direktes Licht",
+    "Last Direct Light": "Letztes direktes Licht",
+    "What brings the lamps' direct light to baked objects. Objects lit at their vertices, and those that "
+    "are not baked, get it from the engine either way":
+        "Woher gebackene Objekte das direkte Licht der Lampen bekommen. An Vertices beleuchtete und nicht gebackene "
+        "Objekte bekommen es immer von der Engine",
+    "Engine": "Engine",
+    "The engine that renders: the lamps shine as ever": "Von der Engine, die rendert: die Lampen leuchten wie immer",
+    "Baked": "Gebacken",
+    "The image Lightpanes Direct, soft shadows included, live as lamps move. Lamps then leave baked objects "
+    "alone, by light linking":
+        "Aus dem Bild Lightpanes Direct, samt weicher Schatten, live mit den Lampen. Die Lampen selbst beleuchten "
+        "gebackene Objekte dann nicht (Light Linking)",
+    "Samples": "Samples",
+    "Samples of this lamp for its soft shadows where direct light is baked. 0: as many as the error asks "
+    "for":
+        "Samples dieser Lampe für ihre weichen Schatten, wo direktes Licht gebacken wird. 0: so viele, wie der Fehler "
+        "verlangt",
     "Seed": "Seed",
     "The same seed gives the same bake": "Derselbe Seed ergibt dasselbe Ergebnis",
     "Show in Cycles": "In Cycles zeigen",
@@ -173,6 +191,7 @@ GERMAN_BUTTONS = {
     "Show It as It Is": "Zeigen, wie sie ist",
     "Keep Reflections Only": "Nur Spiegelungen behalten",
     "Hide Light Probes": "Lichtsonden ausblenden",
+    "Direct Light: Engine": "Direktes Licht: Engine",
     "Set Diffuse Bounces to 0": "Diffuse Reflexionen auf 0",
     "Turn Fast GI Off": "Fast GI ausschalten",
 }

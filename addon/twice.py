@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import bpy
 
-from . import former, store, world_light
+from . import former, linking, store, world_light
 from .obstacles import WARNING, Facts, Obstacle, about
 from .refusals import named
 
-EEVEE = {"BLENDER_EEVEE", "BLENDER_EEVEE_NEXT"}
+EEVEE = linking.EEVEE
 # The fast GI method that only darkens, and adds no light.
 NO_LIGHT = "AMBIENT_OCCLUSION_ONLY"
 
@@ -22,6 +22,7 @@ def find(facts: Facts) -> Iterator[Obstacle]:
         yield from _world(scene)
         yield from _fast_gi(scene)
         yield from _probes(facts)
+        yield from _lamps(scene)
     elif scene.render.engine == "CYCLES" and scene.lightpanes.cycles and store.find_entries(scene) is not None:
         yield from _cycles(scene)
 
@@ -84,6 +85,13 @@ def _probes(facts) -> Iterator[Obstacle]:
         sentence = f"The indirect light that light probe {named(probes)} holds, once baked, adds to that of the bake."
         button = "Hide Light Probes" if any(item.library is None for item in probes) else ""
         yield Obstacle("LIGHT_PROBES", WARNING, sentence, about(*probes), button)
+
+
+def _lamps(scene) -> Iterator[Obstacle]:
+    if scene.lightpanes.direct == "BAKED" and not linking.is_known(scene.render.engine):
+        version = ".".join(map(str, bpy.app.version[:2]))
+        sentence = f"EEVEE of Blender {version} knows no light linking, so lamps light what holds their light already."
+        yield Obstacle("LAMPS", WARNING, sentence, button="Direct Light: Engine")
 
 
 def _cycles(scene) -> Iterator[Obstacle]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -43,7 +43,7 @@ def is_soft(light: Light) -> bool:
 class DirectLight:
     """Evaluates lamps at receivers; a lamp that did not change costs nothing.
 
-    receivers: with normals, lifted by tracer.offset. samples: of a lamp. threads: None for all.
+    receivers: with normals, lifted by tracer.offset. samples: of a lamp for which none are named. threads: None for all.
     """
 
     def __init__(
@@ -62,15 +62,16 @@ class DirectLight:
             self._occluders = Occluders.of(self.tracer)
         return self._occluders
 
-    def unit(self, light: Light) -> np.ndarray:
+    def unit(self, light: Light, samples: int | None = None) -> np.ndarray:
         """(R,) or (R, 3) float32 irradiance of a lamp at unit power; three channels behind tinted glass."""
         receivers = self.receivers
+        samples = samples or self.samples
         if not is_soft(light):
-            samples = self.samples if light.radius > 0 else 1
+            samples = samples if light.radius > 0 else 1
             return irradiance(light, receivers.position, receivers.normal, self.tracer.visibility, samples, self.seed)
         sets = 1 if receivers.group is None else int(receivers.group.max(initial=0)) + 1
         extent = float(np.ptp(receivers.position, axis=0).max()) if len(receivers) else 0.0
-        lamp = sample_lamp(light, self.samples, sets, self.seed, extent)
+        lamp = sample_lamp(light, samples, sets, self.seed, extent)
         masks = cast(receivers, lamp, self.occluders, self.threads)
         result = shade(light, lamp, receivers, masks)
         if self.tracer.has_glass:
@@ -80,15 +81,31 @@ class DirectLight:
             result = result * passed if passed.ndim == 1 else result[:, None] * passed
         return result
 
-    def irradiance(self, lights: Sequence[Light]) -> np.ndarray:
-        """(R, 3) float32 direct irradiance of the lamps, W/m²."""
+    def irradiance(self, lights: Sequence[Light], samples: Mapping[str, int] | None = None) -> np.ndarray:
+        """(R, 3) float32 direct irradiance of the lamps, W/m².
+
+        samples: of some lamps, by name. Lamps that are not among `lights` are forgotten.
+        """
         unit = {}
         total = np.zeros((len(self.receivers), 3), np.float32)
         for light in lights:
-            if light.geometry not in unit:
-                found = self._unit.get(light.geometry)
-                unit[light.geometry] = self.unit(light) if found is None else found
-            found = unit[light.geometry]
-            total += (found if found.ndim == 2 else found[:, None]) * light.power.astype(np.float32)
+            key = self._key(light, samples)
+            if key not in unit:
+                found = self._unit.get(key)
+                unit[key] = self.unit(light, key[1]) if found is None else found
+            total += coloured(unit[key], light)
         self._unit = unit
         return total
+
+    def known(self, light: Light, samples: Mapping[str, int] | None = None) -> np.ndarray | None:
+        """(R, 3) float32 irradiance, W/m², of a lamp that the last call of `irradiance` held; None of another."""
+        found = self._unit.get(self._key(light, samples))
+        return None if found is None else coloured(found, light)
+
+    def _key(self, light, samples):
+        return light.geometry, (samples or {}).get(light.name, self.samples)
+
+
+def coloured(unit: np.ndarray, light: Light) -> np.ndarray:
+    """(R, 3) float32 irradiance of a lamp, W/m², from that at unit power, (R,) or (R, 3)."""
+    return (unit if unit.ndim == 2 else unit[:, None]) * light.power.astype(np.float32)

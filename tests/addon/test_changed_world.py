@@ -4,7 +4,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from lightpanes.addon import relight, world_light  # noqa: E402
+from lightpanes.addon import following, relight, world_light  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("quick")
 
@@ -71,7 +71,7 @@ def test_the_world_is_looked_at_again_when_it_changes(world, monkeypatch):
 
     def note(_scene, depsgraph):
         current = relight.session(bpy.context.scene)
-        seen.extend(change.id.name for change in depsgraph.updates if relight._may_stale(current, change))
+        seen.extend(change.id.name for change in depsgraph.updates if following._may_stale(current, change))
 
     bpy.app.handlers.depsgraph_update_post.append(note)
     try:

@@ -127,10 +127,11 @@ def test_objects_and_lamps(room):
     drawn = draw(panel.LIGHTPANES_PT_object, Context(object=block))
     assert texts(drawn, "prop") == ["exclude", "target", "weight"]
     assert draw(panel.LIGHTPANES_PT_object, Context(object=lamp)) is None
-    assert texts(draw(panel.LIGHTPANES_PT_light, Context(light=lamp.data)), "prop") == ["live", "group"]
+    shown = draw(panel.LIGHTPANES_PT_light, Context(light=lamp.data))
+    assert texts(shown, "prop") == ["live", "group", "samples"]
     assert draw(panel.LIGHTPANES_PT_light, Context(light=None)) is None
     bpy.context.view_layer.objects.active = block
-    assert texts(draw(panel.LIGHTPANES_PT_output), "prop") == ["target", "storage"]
+    assert texts(draw(panel.LIGHTPANES_PT_output), "prop") == ["target", "direct", "storage"]
 
 
 def test_no_lamps(room):

@@ -17,7 +17,7 @@ import lightpanes  # noqa: E402
 from hypothesis import HealthCheck, Phase, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule  # noqa: E402
-from lightpanes.addon import baking, job, nodes, relight, store  # noqa: E402
+from lightpanes.addon import baking, direct, job, nodes, relight, store  # noqa: E402
 
 from .conftest import SMALL, furnish  # noqa: E402
 
@@ -45,6 +45,9 @@ def in_use(scene):
     group = nodes.group_of(scene)
     if group is not None:
         found.add(("node_groups", group.name))
+    receivers = scene.lightpanes.receivers
+    if receivers is not None and direct.is_baked(scene):
+        found.add(("collections", receivers.name))
     return found | {("collections", c.name) for c in scene.collection.children if store.TAG in c}
 
 
@@ -195,12 +198,18 @@ class Sequences(RuleBasedStateMachine):
             self.scene.collection.objects.link(copy)
             self.push("Duplicate")
 
+    @rule(baked=st.booleans())
+    def direct_light(self, baked):
+        self.scene.lightpanes.direct = "BAKED" if baked else "OFF"
+        self.push("Direct light")
+
     @rule()
     def clear(self):
         assert bpy.ops.lightpanes.clear() == {"FINISHED"}
         assert store.find_entries(self.scene) is None
         assert not [item.name for item in self.scene.objects if "lightpanes_baked" in item]
         assert trees() == self.trees
+        assert not [lamp.name for lamp in self.lamps if lamp.light_linking.receiver_collection is not None]
         self.push("Clear")
 
     @invariant()
@@ -222,13 +231,18 @@ class Sequences(RuleBasedStateMachine):
             return
         if not self.meshes:
             return
-        shown = np.array(store.find_image(self.scene, store.IRRADIANCE).pixels)
+        shown = self.pixels()
         relight.forget(self.scene)
+        direct.forget(self.scene)
         relight.relight(bpy.context)
-        fresh = np.array(store.find_image(self.scene, store.IRRADIANCE).pixels)
         # a bake whose objects are gone can't be read anew, and says so
         if not relight.session(self.scene).stale:
-            assert np.allclose(shown, fresh, rtol=1e-3, atol=1e-4 * max(fresh.max(), 1e-6))
+            for before, fresh in zip(shown, self.pixels(), strict=True):
+                assert np.allclose(before, fresh, rtol=1e-3, atol=1e-4 * max(fresh.max(), 1e-6))
+
+    def pixels(self):
+        roles = (store.IRRADIANCE, store.DIRECT) if direct.is_baked(self.scene) else (store.IRRADIANCE,)
+        return [store.read_image(self.scene, role) for role in roles]
 
 
 TestSequences = Sequences.TestCase

@@ -1,0 +1,125 @@
+"""Calls `relight` when something happens that light may follow: an edit, a frame, a render, undo, saving."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.handlers import persistent
+
+from . import direct, extract, handlers, meshes, overlay, relight, store, waiting
+
+STALE_DELAY = 0.5
+"""Seconds after the last edit of a mesh at which the bake is checked against it."""
+
+
+@persistent
+def _on_update(scene, depsgraph):
+    if store.bake_key(scene) is None:
+        return
+    if bpy.app.background:
+        if direct.is_baked(scene) and any(_may_stale(relight.session(scene), change) for change in depsgraph.updates):
+            direct.look_again(scene, extract.fingerprint(bpy.context))
+        relight.update(scene, depsgraph)
+        return
+    # One relight for all that happens before Blender is idle again.
+    if not bpy.app.timers.is_registered(_update_later):
+        bpy.app.timers.register(_update_later, first_interval=0.0)
+    current = relight.session(scene)
+    edits = [change for change in depsgraph.updates if _may_stale(current, change)]
+    current.wrote_meshes = False
+    if edits:
+        if bpy.app.timers.is_registered(_stale_later):
+            bpy.app.timers.unregister(_stale_later)
+        bpy.app.timers.register(_stale_later, first_interval=STALE_DELAY)
+
+
+def _may_stale(current: relight.Session, change) -> bool:
+    """Whether a change can make the bake stale: to an object's shape or place, to the world, or to a lamp that is
+    baked in."""
+    lamp = isinstance(change.id, bpy.types.Light) or (
+        isinstance(change.id, bpy.types.Object) and change.id.type == "LIGHT"
+    )
+    if lamp:
+        return bool(current.static) or not current.panes
+    if isinstance(change.id, bpy.types.World):
+        return True
+    if not isinstance(change.id, bpy.types.Object) or store.TAG in change.id:
+        return False
+    own = current.wrote_meshes and meshes.AT_VERTICES in change.id
+    return change.is_updated_transform or (change.is_updated_geometry and not own)
+
+
+def _update_later():
+    if waiting.renders():
+        return  # the render's own frame changes relight
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    relight.update(depsgraph.scene.original, depsgraph, at_once=False)
+    relight.redraw_panel()
+    overlay.redraw()
+
+
+def _stale_later():
+    if not waiting.renders():
+        relight.check_stale(bpy.context)
+        # the direct light of what has moved
+        _update_later()
+
+
+@persistent
+def _on_frame(scene, depsgraph):
+    relight.update(scene, depsgraph)
+
+
+@persistent
+def _on_render(scene, *_):
+    relight.prepare_render(scene)
+
+
+@persistent
+def _on_rendered(*_):
+    if not bpy.app.background and not bpy.app.timers.is_registered(_update_later):
+        bpy.app.timers.register(_update_later, first_interval=0.1)
+
+
+@persistent
+def _on_undo(scene, *_):
+    relight.undone(scene)
+
+
+@persistent
+def _on_load(*_):
+    relight.stop()
+
+
+@persistent
+def _on_save(*_):
+    for scene in bpy.data.scenes:
+        direct.finish(scene)
+        if direct.is_baked(scene):
+            # what names baked objects would keep deleted ones in the file
+            direct.link(scene)
+    relight.pack()
+
+
+HANDLERS = {
+    "depsgraph_update_post": _on_update,
+    "frame_change_post": _on_frame,
+    "render_init": _on_render,
+    "render_complete": _on_rendered,
+    "render_cancel": _on_rendered,
+    "undo_post": _on_undo,
+    "redo_post": _on_undo,
+    "load_post": _on_load,
+    "save_pre": _on_save,
+}
+
+
+def register() -> None:
+    handlers.add(HANDLERS)
+
+
+def unregister() -> None:
+    handlers.remove(HANDLERS)
+    for timer in (_update_later, _stale_later):
+        if bpy.app.timers.is_registered(timer):
+            bpy.app.timers.unregister(timer)
+    relight.stop()
