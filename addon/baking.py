@@ -129,7 +129,7 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
     try:
         yield Progress("Storing", STORED, report["rays"])
         _refuse_edited(planned)
-        now = extract.fingerprint(context)
+        late = set(extract.changed_objects(found, extract.fingerprint(context)))
         # undo may have brought back an older one
         before = Snapshot.of(scene, [item for item in scene.objects if item.type == "MESH" and store.TAG not in item])
         try:
@@ -148,12 +148,13 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         vertices.keep(context, surfaces, loops)
         claims.claim(scene)
         relight.adopt(scene, relighter)
+        placed = extract.fingerprint(context)
     ending = _Ending(report["rays"])
     yield from ending.turn(0.985)
     with relight.paused():
+        late |= set(extract.changed_objects(placed, extract.fingerprint(context)))
         report["warnings"] += nodes.attach(context, surfaces)
         # after attaching, which may give materials to objects that have none; but what changed meanwhile is stale
-        late = set(extract.changed_objects(found, now))
         seen = extract.fingerprint(context)
         result.meta["fingerprint"] = {name: was if name in late else seen.get(name, was) for name, was in found.items()}
         store.write_meta(scene, result.meta)

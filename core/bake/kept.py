@@ -58,8 +58,9 @@ class Kept:
                 self._dropped[name] = part
 
     def only(self, name: str) -> None:
-        """Forget all other parts."""
+        """Forget all other parts, and what they took."""
         self.parts, self._dropped = {name: self.parts[name]}, {}
+        self.seconds = self.reached = 0.0
 
     def part(self, name: str, make: Callable[[], T]) -> T:
         """What `make` returned when it first finished."""

@@ -72,6 +72,14 @@ def test_cancelled_at_any_stage_it_leaves_what_was_there(room, monkeypatch, at):
     room.lightpanes.seed = 7
     bpy.data.objects["Block"].scale.x *= 1.2
     bpy.context.view_layer.update()
+    tell = job._Thread._told
+
+    def tell_slowly(self, progress):
+        tell(self, progress)
+        # or a short stage is over before the main thread looks
+        time.sleep(0.02 * (progress.stage == at))
+
+    monkeypatch.setattr(job._Thread, "_told", tell_slowly)
     running = drive(stage(at))
     assert running.progress.stage == at
     running.cancel()
