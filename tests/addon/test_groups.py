@@ -176,7 +176,7 @@ def test_lamps_in_instances_have_their_group(room):
 
 def test_the_panels(grouped):
     lamp = bpy.data.lights["Lamp"]
-    assert texts(draw(panel.LIGHTPANES_PT_light, Context(light=lamp)), "prop") == ["live", "group"]
+    assert texts(draw(panel.LIGHTPANES_PT_light, Context(light=lamp)), "prop") == ["live", "group", "samples"]
     labels = [text for text in texts(draw(panel.LIGHTPANES_PT_lamps)) if text]
     assert labels == ["Fill", "Fill", "Key", "Key 1", "Key 2", "Baked", "No Group", "Lamp"]
 
