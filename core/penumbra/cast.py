@@ -25,11 +25,11 @@ from .receivers import CLUSTER, Receivers, clusters
 from .shafts import Boxes, candidates
 from .silhouettes import Items, line_items
 
-BATCH = 128
-"""Clusters decided together: enough that numpy's calls cost little, few enough for the cache."""
+BATCH = 256
+"""Clusters decided together: enough that numpy's calls cost little."""
 
-ITEMS = 1024
-"""Lines of a step, CLUSTER values each: its arrays stay in the second-level cache."""
+ITEMS = 2048
+"""Lines of a step, CLUSTER values each: some megabytes. Shorter ones leave two threads waiting for each other's Python."""
 
 BY_LINES, BY_RAYS = 0, 1
 """What else may become of a cluster, beside LIT and UMBRA."""

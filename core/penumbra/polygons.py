@@ -17,6 +17,10 @@ TURN = 1e-4
 """Radians between edges that count as one, if the places between them are on the line."""
 
 
+MOST_SIDES = 64
+"""Sides of a polygon; what has more stays in pieces."""
+
+
 @dataclass(frozen=True)
 class Polygons:
     """vertices: (v, 3) float64, m, the polygons' corners, anticlockwise around their normals, one polygon after another.
@@ -214,7 +218,7 @@ def _whole_patches(plain, triangles, mate, flat, patch, tolerance):
     off = np.linalg.norm(np.cross(away, line[chain]), axis=1) / line_length[chain]
     good = np.bincount(run, ~step | (off > tolerance)) == 0
     chains = np.bincount(run[head], minlength=len(good))
-    good &= chains >= 3
+    good &= (chains >= 3) & (chains <= MOST_SIDES)
     # once around, and no more: the polygon's own area is that of its triangles
     area = np.zeros(len(good))
     a, b = start[head], start[np.append(head[1:], 0)]

@@ -144,14 +144,13 @@ def _undecided(inside, outside, pairs, lines, count):
     for block, (a, b, p, q) in enumerate(zip(lines[:-1], lines[1:], pairs[:-1], pairs[1:], strict=True)):
         part = slice(CLUSTER * a, CLUSTER * b)
         starts = np.cumsum(count[p:q]) - count[p:q]
-        hidden = np.logical_or.reduceat(outside[part].reshape(CLUSTER, b - a), starts, axis=1)
-        cut = ~inside[part].reshape(CLUSTER, b - a)
-        covered = ~(np.logical_or.reduceat(cut, starts, axis=1) | hidden)
-        dark[block] = covered.any(axis=1)
-        alive = ~(hidden | dark[block][:, None])
-        cut &= np.repeat(alive, count[p:q], axis=1)
-        crossing[part] = cut.ravel()
-        need = np.add.reduceat(cut, starts, axis=1, dtype=np.uint8)
+        # in one sum: lines that cut the lamp, and by 256s those that have it outside
+        state = (~inside[part]).reshape(CLUSTER, b - a).astype(np.uint16)
+        state += outside[part].reshape(CLUSTER, b - a) * np.uint16(255)
+        need = np.add.reduceat(state, starts, axis=1)
+        dark[block] = (need == 0).any(axis=1)
+        alive = (need < 256) & ~dark[block][:, None]
+        crossing[part] = ((state == 1) & np.repeat(alive, count[p:q], axis=1)).ravel()
         some = np.flatnonzero(alive)
         receiver.append(some // (q - p) + block * CLUSTER)
         left.append(need.ravel()[some])
