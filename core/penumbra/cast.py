@@ -25,7 +25,7 @@ from .receivers import CLUSTER, Receivers, clusters
 from .shafts import Boxes, candidates
 from .silhouettes import Items, line_items
 
-BATCH = 256
+BATCH = 128
 """Clusters decided together: enough that numpy's calls cost little."""
 
 ITEMS = 2048
