@@ -19,6 +19,28 @@ class SceneError(ValueError):
 
 
 @dataclass(frozen=True)
+class Optics:
+    """How a smooth surface mirrors and bends light, beside what it scatters diffusely; colours as 3 linear floats.
+
+    mirror, mirror_edge: reflectance of metallic lobes seen straight on and at grazing angles, Schlick's curve between
+        them, weights multiplied in; equal where it does not depend on the angle.
+    glass: tint of light that is refracted at one crossing; gloss: tint of what a dielectric reflects by Fresnel's
+        equations. Weights are multiplied in; both black where the surface lets nothing in.
+    ior: refractive index of the inside over that of the outside, the side that normals point to.
+    absorption: of the inside, 1/m (Beer and Lambert).
+    roughness: as Blender's sliders have it, in [0, 1]; of the roughest lobe that counts.
+    """
+
+    mirror: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mirror_edge: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    glass: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gloss: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ior: float = 1.5
+    absorption: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    roughness: float = 0.0
+
+
+@dataclass(frozen=True)
 class Material:
     """Diffuse view of a material, colours as 3 linear floats.
 
@@ -28,6 +50,7 @@ class Material:
         (cut-out alpha and thin glazing). `albedo` is what remains beside it.
     mapped: albedo, emission and transmission vary over the surface and are read from the scene's
         maps wherever a triangle has a place in the atlas; the constants are then their means.
+    optics: of its mirror and glass lobes, None where it has none.
     """
 
     name: str
@@ -35,6 +58,7 @@ class Material:
     emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
     transmission: tuple[float, float, float] = (0.0, 0.0, 0.0)
     mapped: bool = False
+    optics: Optics | None = None
 
 
 @dataclass(frozen=True)
