@@ -9,7 +9,6 @@ packed: no light is lost.
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 import shutil
 from collections.abc import Iterator
@@ -20,6 +19,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
+from ..core.files import replacing
 from . import handlers, store
 
 _OURS = re.compile(r"Lightpanes [\w ]+ [0-9a-f]{8}( \d+)?\.exr")
@@ -131,16 +131,11 @@ def _write(image, place: Path) -> None:
     if path is not None and (path == place or not path.exists()):
         return
     place.parent.mkdir(exist_ok=True)
-    temporary = place.with_name(f".{place.stem}-{os.getpid()}.exr")
-    try:
+    with replacing(place) as temporary:
         if path is None:
             temporary.write_bytes(image.packed_file.data)
         else:
             shutil.copyfile(path, temporary)
-        os.replace(temporary, place)
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
     _saving.former.append((image, image.filepath_raw, path is None))
     image.filepath_raw = _relative(place)
     if path is None:

@@ -15,13 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
+from ..files import replacing
 from ..transfer import Begun, Transport
 
 VERSION = 1
 """Of what the files hold: another number where the same scene and settings lead to other parts."""
 
 _OURS = re.compile(r"lightpanes-[0-9a-f]{32}-[0-9a-f]{32}\.npz")
-_TEMPORARY = re.compile(r"\.lightpanes-[0-9a-f]{32}-[0-9a-f]{32}-\d+\.tmp")
+_TEMPORARY = re.compile(r"\.lightpanes-[0-9a-f]{32}-[0-9a-f]{32}-\d+\.npz")
 DAY = 86400  # s
 
 
@@ -94,17 +95,13 @@ class Cache:
         if arrays is None or sum(array.nbytes for array in arrays.values()) > self.limit:
             return False
         place = self._place(key, name)
-        temporary = place.with_name(f".{place.stem}-{os.getpid()}.tmp")
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            with open(temporary, "wb") as file:
-                np.savez(file, **arrays)
-            os.replace(temporary, place)
+            with replacing(place) as temporary:
+                with open(temporary, "wb") as file:
+                    np.savez(file, **arrays)
         except OSError:
             return False
-        finally:
-            with contextlib.suppress(OSError):
-                temporary.unlink(missing_ok=True)
         self.trim()
         return True
 

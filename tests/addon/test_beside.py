@@ -358,7 +358,7 @@ def test_a_disk_that_fills_midway(baked, tmp_path, monkeypatch, capfd):
             raise OSError(28, "No space left on device", str(paths[1]))
         replace(*paths)
 
-    monkeypatch.setattr(beside.os, "replace", full)
+    monkeypatch.setattr(os, "replace", full)
     save(blend)
     monkeypatch.undo()
     assert "No space left on device" in beside.problem() and in_files(baked)[0] == 0

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from lightpanes.core.bake import Bake, Cache, Cancelled, Kept, bake
 from lightpanes.core.bake.cache import decode, encode
+from lightpanes.core.files import replacing
 from lightpanes.core.transfer import Begun, Transport
 
 from .shapes import quick
@@ -163,7 +164,9 @@ def test_the_least_recently_used_go_first(tmp_path):
 
 def test_what_a_crash_left_is_deleted(cache):
     cache.save(KEY, NAME, np.zeros(3))
-    old, fresh = (cache.folder / f".lightpanes-{KEY.hex()}-{NAME.hex()}-{n}.tmp" for n in (1, 2))
+    with replacing(cache._place(KEY, NAME)) as old:
+        old.touch()
+    fresh = old.with_stem(f"{old.stem}0")
     for place in (old, fresh):
         place.write_bytes(b"half")
     os.utime(old, (0, 0))
