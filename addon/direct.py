@@ -20,7 +20,7 @@ from ..core.panes import Panes
 from ..core.penumbra import samples_for
 from ..core.rays import Tracer
 from ..core.scene import Light, Scene, SceneError
-from . import claims, extract, linking, nodes, store, vertices, waiting
+from . import areas, claims, extract, linking, nodes, store, vertices, waiting
 from .lamps import lamp_key, read_lights
 from .meshes import AT_VERTICES
 
@@ -434,14 +434,7 @@ def _take(scene, mine: Held, work: _Work) -> None:
     if error:
         mine.error, mine.asked = error, None
         print(f"Lightpanes: {error}")
-    _redraw()
-
-
-def _redraw() -> None:
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "PROPERTIES":
-                area.tag_redraw()
+    areas.redraw_panel()
 
 
 def stop() -> None:

@@ -22,14 +22,6 @@ _handler = None
 _batches: dict[int, tuple] = {}
 
 
-def redraw() -> None:
-    """Ask all 3D viewports to draw themselves again."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
-
-
 def arrays(scene: bpy.types.Scene, kind: str) -> tuple[np.ndarray, np.ndarray]:
     """Where points are drawn (n, 3) and their colours (n, 4), sRGB, float32. Raises SceneError without points."""
     values, scale = colours.read(scene, kind)

@@ -13,7 +13,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..core.scene import SceneError
-from . import foreign, handlers, obstacles, relight, store, twice
+from . import areas, foreign, handlers, obstacles, store, twice
 from .forecast import Forecast, predict
 from .obstacles import ERROR, Facts, Obstacle
 
@@ -135,8 +135,8 @@ def _key(context) -> tuple:
 
 
 def _redraw_later(seconds: float) -> None:
-    if not bpy.app.background and not bpy.app.timers.is_registered(relight.redraw_panel):
-        bpy.app.timers.register(relight.redraw_panel, first_interval=seconds)
+    if not bpy.app.background and not bpy.app.timers.is_registered(areas.redraw_panel):
+        bpy.app.timers.register(areas.redraw_panel, first_interval=seconds)
 
 
 @persistent
@@ -164,6 +164,6 @@ def register() -> None:
 
 def unregister() -> None:
     handlers.remove(HANDLERS)
-    if bpy.app.timers.is_registered(relight.redraw_panel):
-        bpy.app.timers.unregister(relight.redraw_panel)
+    if bpy.app.timers.is_registered(areas.redraw_panel):
+        bpy.app.timers.unregister(areas.redraw_panel)
     forget()

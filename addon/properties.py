@@ -40,9 +40,9 @@ def _plan_changed(_settings, _context):
 
 
 def _show_points_changed(_settings, _context):
-    from . import overlay
+    from . import areas
 
-    overlay.redraw()
+    areas.redraw_viewports()
 
 
 class SceneSettings(bpy.types.PropertyGroup):

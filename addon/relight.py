@@ -18,6 +18,7 @@ from ..core.panes import Panes, Relighter
 from ..core.rays import Tracer
 from ..core.scene import Light, Scene, SceneError
 from . import (
+    areas,
     direct,
     engine,
     environment,
@@ -321,7 +322,7 @@ def switch_direct(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
             except (SceneError, BakeError) as error:
                 current.error = str(error)
                 print(f"Lightpanes: {error}")
-    redraw_panel()
+    areas.redraw_panel()
 
 
 def surfaces_of(context: bpy.types.Context, current: Session) -> tuple[Panes, Scene, Tracer]:
@@ -356,14 +357,6 @@ def relighter_of(context: bpy.types.Context, current: Session) -> Relighter:
         current.relighter = Relighter(bake.panes(), tracer)
         current.read = (geometry, tracer) if direct.is_baked(scene) else None
     return current.relighter
-
-
-def redraw_panel() -> None:
-    """Draw all Properties editors anew."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "PROPERTIES":
-                area.tag_redraw()
 
 
 def prepare_render(scene: bpy.types.Scene) -> None:
