@@ -8,6 +8,8 @@ bpy = pytest.importorskip("bpy")
 
 import lightpanes  # noqa: E402
 
+from .soft import hang_panel  # noqa: E402
+
 # Budgets of a bake that is done in half a second and still looks like the room.
 SMALL = {"entries": 300, "entry_rays": 128, "exit_rays": 32, "regions": 8, "panes": 8, "lamps": 60}
 SMALL |= {"points": 400, "point_rays": 1024}
@@ -40,6 +42,19 @@ def saved(tmp_path_factory):
 def room(blender):
     """A closed room 2 m wide with a block in it and a point lamp; returns the scene."""
     return furnish()
+
+
+@pytest.fixture
+def panel(room):
+    """The room with an area lamp alone, whose direct light is wanted in the bake, not baked yet."""
+    return hang_panel(room)
+
+
+@pytest.fixture
+def baked_panel(panel):
+    """The same, baked."""
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    return panel
 
 
 def furnish():

@@ -15,26 +15,14 @@ from lightpanes.core.penumbra import DirectLight  # noqa: E402
 
 from .drawing import draw, texts  # noqa: E402
 from .files import reopen  # noqa: E402
-from .soft import EEVEE, camera, error, hang_panel, image, linked, render, shine, sky, yard  # noqa: E402
+from .soft import EEVEE, camera, error, image, linked, render, shine, sky, yard  # noqa: E402
 from .test_nodes import tree_state  # noqa: E402
 from .test_relight import update  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("quick")
 
 
-@pytest.fixture
-def panel(room):
-    """The room with an area lamp alone, whose direct light is wanted in the bake, not baked yet."""
-    return hang_panel(room)
-
-
-@pytest.fixture
-def baked(panel):
-    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
-    return panel
-
-
-def test_an_area_lamp_is_as_cycles_has_it(baked):
+def test_an_area_lamp_is_as_cycles_has_it(baked_panel):
     assert error() < 0.03
 
 
@@ -46,7 +34,7 @@ def test_a_sun_with_an_angle_and_points_as_exits(room):
     assert error() < 0.03
 
 
-def test_it_moves_with_the_lamp(baked):
+def test_it_moves_with_the_lamp(baked_panel):
     before = image()
     lamp = bpy.data.objects["Panel"]
     lamp.location.x = 0.4
@@ -59,13 +47,13 @@ def test_it_moves_with_the_lamp(baked):
     assert np.allclose(image(), 2 * before, rtol=1e-5, atol=1e-6)
 
 
-def test_only_lamps_that_changed_are_cast_again(baked, monkeypatch):
+def test_only_lamps_that_changed_are_cast_again(baked_panel, monkeypatch):
     cast = []
     unit = DirectLight.unit
     monkeypatch.setattr(
         DirectLight, "unit", lambda self, light, *more: cast.append(light.name) or unit(self, light, *more)
     )
-    second = shine(baked, "Second", (0.5, 0.5, 0.5))
+    second = shine(baked_panel, "Second", (0.5, 0.5, 0.5))
     update()
     assert cast == ["Second"]
     second.data.energy = 5.0
@@ -142,7 +130,7 @@ def test_a_bake_has_cast_the_lamps_when_it_ends(panel, monkeypatch):
     assert atlases == [direct.held(panel).atlas]
 
 
-def test_baking_again_changes_nothing(baked):
+def test_baking_again_changes_nothing(baked_panel):
     before = image()
     assert bpy.ops.lightpanes.bake() == {"FINISHED"}
     assert np.allclose(image(), before, rtol=1e-5, atol=1e-6) and before.max() > 1
@@ -152,7 +140,7 @@ def test_baking_again_changes_nothing(baked):
     ]
 
 
-def test_undo(baked):
+def test_undo(baked_panel):
     bpy.ops.ed.undo_push(message="Baked")
     before = image()
     bpy.data.objects["Panel"].location.x = 0.4
@@ -192,7 +180,7 @@ def test_undoing_the_switch(room, light):
     assert list(linked()) == ["Sun"]
 
 
-def test_reopening_computes_nothing_and_then_follows(baked, tmp_path):
+def test_reopening_computes_nothing_and_then_follows(baked_panel, tmp_path):
     bpy.data.objects["Panel"].location.x = 0.4
     update()
     expected = image()
@@ -208,7 +196,7 @@ def test_reopening_computes_nothing_and_then_follows(baked, tmp_path):
     assert np.allclose(image(), expected, rtol=1e-3, atol=1e-3)
 
 
-def test_an_object_that_moves_takes_its_light_along(baked):
+def test_an_object_that_moves_takes_its_light_along(baked_panel):
     bpy.data.objects["Block"].location.x -= 0.4
     update()
     assert error() < 0.04
@@ -228,9 +216,9 @@ def test_a_lamp_that_is_baked_in_stays(panel):
     assert np.allclose(image(), before, rtol=1e-5)
 
 
-def test_not_live_until_asked(baked):
+def test_not_live_until_asked(baked_panel):
     before = image()
-    baked.lightpanes.live = False
+    baked_panel.lightpanes.live = False
     bpy.data.objects["Panel"].location.x = 0.4
     update()
     assert np.array_equal(image(), before)
@@ -256,11 +244,11 @@ def look(until, seconds=20.0):
 
 
 @pytest.fixture
-def window(baked, monkeypatch):
+def window(baked_panel, monkeypatch):
     """Changes are followed by the timer alone."""
     bpy.app.handlers.depsgraph_update_post.remove(following._on_update)
     monkeypatch.setattr(direct, "REST", 1e9)
-    yield baked
+    yield baked_panel
     bpy.app.handlers.depsgraph_update_post.append(following._on_update)
 
 
@@ -362,7 +350,7 @@ def test_animations_have_direct_light_of_each_frame(panel, tmp_path):
     assert first != second == third
 
 
-def test_saved_images_hold_the_lamps(baked, tmp_path):
+def test_saved_images_hold_the_lamps(baked_panel, tmp_path):
     assert bpy.ops.lightpanes.save_images(directory=str(tmp_path)) == {"FINISHED"}
     written = bpy.data.images.load(str(tmp_path / "Lightpanes Direct.exr"))
     assert np.allclose(np.array(written.pixels, np.float32).reshape(64, 64, 4)[..., :3], image(), rtol=1e-3, atol=1e-4)
@@ -379,12 +367,12 @@ def test_the_command_line(panel, tmp_path):
     assert report["settings"]["direct"] == "baked" and report["direct_ms"] > 0
 
 
-def test_relighting_from_the_command_line(baked, tmp_path, capsys):
+def test_relighting_from_the_command_line(baked_panel, tmp_path, capsys):
     before = image()
     bpy.data.objects["Panel"].keyframe_insert("location", frame=1)
     bpy.data.objects["Panel"].location.x = 0.4
     bpy.data.objects["Panel"].keyframe_insert("location", frame=2)
-    baked.frame_set(1)
+    baked_panel.frame_set(1)
     path = tmp_path / "room.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
     folder = tmp_path / "out"
@@ -397,19 +385,19 @@ def test_relighting_from_the_command_line(baked, tmp_path, capsys):
     assert "direct_ms" in capsys.readouterr().out
 
 
-def test_deleted_images(baked):
-    bpy.data.images.remove(store.find_image(baked, store.DIRECT))
+def test_deleted_images(baked_panel):
+    bpy.data.images.remove(store.find_image(baked_panel, store.DIRECT))
     assert bpy.ops.lightpanes.relight() == {"FINISHED"}
     assert image().max() > 1
     (group,) = (group for group in bpy.data.node_groups if store.TAG in group)
-    assert store.find_image(baked, store.DIRECT) in [getattr(node, "image", None) for node in group.nodes]
+    assert store.find_image(baked_panel, store.DIRECT) in [getattr(node, "image", None) for node in group.nodes]
 
 
-def test_the_panel_says_what_it_took_and_what_is_left_out(baked):
+def test_the_panel_says_what_it_took_and_what_is_left_out(baked_panel):
     drawn = draw(drawn_panel.LIGHTPANES_PT_output)
     labels = texts(drawn, "label")
     assert "direct" in texts(drawn, "prop") and "Last Direct Light" in labels
-    shine(baked, "Second").light_linking.receiver_collection = bpy.data.collections.new("Mine")
+    shine(baked_panel, "Second").light_linking.receiver_collection = bpy.data.collections.new("Mine")
     update()
     said = " ".join(texts(draw(drawn_panel.LIGHTPANES_PT_output), "label"))
     assert "Lamp 'Second' has light linking of its own" in said
