@@ -16,11 +16,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import bpy
-import numpy as np
 from bpy.app.handlers import persistent
 
 from ..core.files import replacing
 from . import handlers, store
+from .pixels import read_pixels
 
 _OURS = re.compile(r"Lightpanes [\w ]+ [0-9a-f]{8}( \d+)?\.exr")
 
@@ -147,9 +147,7 @@ def _pack(image) -> None:
     path = store.path_of(image)
     if path is not None and not path.exists():
         # only what has changed is packed from memory
-        pixels = np.empty(len(image.pixels), np.float32)
-        image.pixels.foreach_get(pixels)
-        image.pixels.foreach_set(pixels)
+        image.pixels.foreach_set(read_pixels(image).reshape(-1))
     image.pack()
 
 

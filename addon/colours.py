@@ -11,6 +11,7 @@ import numpy as np
 
 from ..core.scene import SceneError
 from . import points
+from .pixels import read_pixels
 
 KINDS = ("radius", "ao", "irradiance")
 TITLES = {"radius": "radius, m", "ao": "ambient occlusion, 1 is open", "irradiance": "irradiance, W/m²"}
@@ -110,10 +111,10 @@ def _text(labels, width) -> np.ndarray:
         buffer.free()
         image = bpy.data.images.load(path)
         try:
-            pixels = np.array(image.pixels, np.float32).reshape(LEGEND, width, -1)
+            drawn = read_pixels(image)
         finally:
             bpy.data.images.remove(image)
-    return pixels[..., -1] if pixels.shape[2] == 4 else pixels[..., 0]
+    return drawn[..., -1] if drawn.shape[2] == 4 else drawn[..., 0]
 
 
 def write_png(path: Path, pixels: np.ndarray) -> None:

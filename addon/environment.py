@@ -14,6 +14,7 @@ import numpy as np
 from ..core.scene import Sky
 from . import cycles
 from .materials import digest_tree
+from .pixels import read_pixels
 
 WIDTH, HEIGHT = 256, 128
 FINE = 4
@@ -218,15 +219,14 @@ def _bake(world, window, columns, rows, width, height) -> np.ndarray:
             bpy.ops.object.bake(
                 type="ENVIRONMENT", target="IMAGE_TEXTURES", save_mode="INTERNAL", use_clear=True, margin=0
             )
-        pixels = np.empty(width * height * 4, np.float32)
-        image.pixels.foreach_get(pixels)
+        found = read_pixels(image)
     finally:
         bpy.data.scenes.remove(scene)
         bpy.data.objects.remove(obj)
         bpy.data.meshes.remove(mesh)
         bpy.data.materials.remove(material)
         bpy.data.images.remove(image)
-    return pixels.reshape(height, width, 4)[..., :3].copy()
+    return found[..., :3].copy()
 
 
 def _sphere(window, columns, rows):

@@ -15,6 +15,7 @@ import numpy as np
 from ..core.scene import Scene
 from . import cycles, materials
 from .meshes import LAYER
+from .pixels import read_pixels
 from .snapshot import read_layer, rectangle, write_layer
 from .unfolded import Unfolded
 from .visibility import rendered_objects
@@ -170,13 +171,13 @@ class _Studio:
         try:
             with self._aimed_at(image, kind):
                 self._run(objects, kind, warnings)
-            image.pixels.foreach_get(pixels.ravel())
+            found = read_pixels(image)
         finally:
             bpy.data.images.remove(image)
-        pixels = np.where(np.isfinite(pixels), pixels, 0.0)
+        found = np.where(np.isfinite(found), found, 0.0)
         if kind != "emission":
-            np.clip(pixels, 0.0, 1.0, out=pixels)
-        return np.ascontiguousarray(pixels[..., :3], np.float32)
+            np.clip(found, 0.0, 1.0, out=found)
+        return np.ascontiguousarray(found[..., :3], np.float32)
 
     def _run(self, objects, kind, warnings) -> None:
         options = {"type": "DIFFUSE", "pass_filter": {"COLOR"}} if kind == "albedo" else {"type": "EMIT"}

@@ -19,6 +19,7 @@ import numpy as np
 from ..core.scene import SceneError
 from . import linking
 from .atlas import LAYER
+from .pixels import read_pixels
 
 UNBIASED = {
     "use_adaptive_sampling": False,
@@ -122,12 +123,10 @@ def cycles_bake(
                     margin=0,
                 )
             seconds = time.perf_counter() - started
-        pixels = np.empty(resolution * resolution * 4, np.float32)
-        image.pixels.foreach_get(pixels)
+        found = read_pixels(image)
     finally:
         bpy.data.images.remove(image)
-    pixels = pixels.reshape(resolution, resolution, 4)
-    return pixels[..., :3] * np.float32(np.pi), pixels[..., 3] > 0, seconds
+    return found[..., :3] * np.float32(np.pi), found[..., 3] > 0, seconds
 
 
 @contextlib.contextmanager

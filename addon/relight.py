@@ -311,17 +311,16 @@ def switch_direct(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
     current = session(scene)
     if current is None:
         return
-    if scene.lightpanes.direct == "OFF":
-        with _lock:
-            direct.end(scene)
-    elif scene == context.scene and engine.ready():
-        with _lock:
-            try:
+    with _lock:
+        try:
+            if scene.lightpanes.direct == "OFF":
+                direct.end(scene)
+            elif scene == context.scene and engine.ready():
                 lights = _read_lights(context.evaluated_depsgraph_get(), current)
                 _apply_direct(context, scene, current, lights)
-            except (SceneError, BakeError) as error:
-                current.error = str(error)
-                print(f"Lightpanes: {error}")
+        except (SceneError, BakeError) as error:
+            current.error = str(error)
+            print(f"Lightpanes: {error}")
     areas.redraw_panel()
 
 

@@ -125,9 +125,9 @@ def _write_images(context, stage: Path, frames: range, manifest: dict) -> Steps:
     yield Progress("Reading the bake", 0.0, 0)
     warnings = _Warnings(context, current, frames)
     each = direct.is_baked(scene)
-    steady = None if each else _direct(scene)
+    steady = None if each else store.read_image(scene, store.DIRECT)
     if steady is not None:
-        yield from (Progress("Direct light", 0.0, 0) for _ in exr.writing(stage / DIRECT, steady))
+        yield from (Progress("Direct light", 0.0, 0) for _ in exr.writing(stage / DIRECT, steady[..., :3]))
         manifest["direct"] = DIRECT
     names = [entry["group"] or "" for entry in manifest.get("groups", ())]
     lit = _Frames(context, current, stage) if each else None
@@ -297,17 +297,6 @@ def _name_groups(manifest: dict, names: list[str]) -> None:
 def _file_name(frame: int, what: str = "irradiance") -> str:
     """As Blender numbers a sequence."""
     return f"{what}_{'-' * (frame < 0)}{abs(frame):04d}.exr"
-
-
-def _direct(scene) -> np.ndarray | None:
-    """(H, W, 3) float32 of `Lightpanes Direct`, None where the bake holds none."""
-    image = store.find_image(scene, store.DIRECT)
-    if image is None:
-        return None
-    width, height = store.need(image).size
-    pixels = np.empty(len(image.pixels), np.float32)
-    image.pixels.foreach_get(pixels)
-    return pixels.reshape(height, width, -1)[..., :3]
 
 
 def _leftovers(folder: Path, stage: Path) -> list[str]:

@@ -22,6 +22,7 @@ import numpy as np
 from ..core.bake import Bake
 from ..core.scene import SceneError
 from . import attributes, refresh
+from .pixels import read_pixels
 from .work import run
 
 COLLECTION = "Lightpanes"
@@ -213,16 +214,9 @@ def drop_image(scene: bpy.types.Scene, role: str) -> None:
 
 
 def read_image(scene: bpy.types.Scene, role: str) -> np.ndarray | None:
-    """(H, W, 4) float32 that an image of the bake shows, None without it."""
+    """(H, W, 4) float32 that an image of the bake shows, None without it. Raises SceneError where its file is missing."""
     image = find_image(scene, role)
-    if image is None:
-        return None
-    if not image.has_data:
-        image.pixels[0]  # reads the packed file
-    width, height = image.size
-    pixels = np.empty(len(image.pixels), np.float32)
-    image.pixels.foreach_get(pixels)
-    return pixels.reshape(height, width, 4)
+    return None if image is None else read_pixels(need(image))
 
 
 def holds_direct(scene: bpy.types.Scene) -> bool:
@@ -359,15 +353,11 @@ def _new_image(role: str, pixels: np.ndarray, shape: tuple, made: list) -> bpy.t
 def _read_array(image: bpy.types.Image, role: str) -> np.ndarray:
     if image is None:
         raise ValueError(f"the image '{role}' has been deleted")
-    need(image)
-    if not image.has_data:
-        image.pixels[0]  # reads the packed file
+    flat = read_pixels(need(image)).reshape(-1)
     shape = tuple(json.loads(image[SHAPE]))
-    flat = np.empty(len(image.pixels), np.float32)
     size = int(np.prod(shape))
     if not image.is_float or flat.size < size:
         raise ValueError(f"the image '{image.name}' has been replaced or scaled")
-    image.pixels.foreach_get(flat)
     return flat[:size].reshape(shape)
 
 

@@ -14,6 +14,7 @@ from lightpanes.core.scene import SceneError  # noqa: E402
 from .drawing import draw, paragraph, texts  # noqa: E402
 from .files import baked_once  # noqa: E402
 from .mending import found  # noqa: E402
+from .soft import hang_panel, sky  # noqa: E402
 from .test_sequences import ours  # noqa: E402
 from .test_store import assert_same, make_bake  # noqa: E402
 
@@ -485,3 +486,20 @@ def test_reading_a_missing_file_says_so(baked, tmp_path):
     shutil.rmtree(beside.folder_of(tmp_path / "room.blend"))
     with pytest.raises(SceneError, match="is missing: put it back, or bake again"):
         store.load_bake(open_file(tmp_path / "room.blend"))
+
+
+def test_direct_light_whose_file_is_missing_says_so(room, tmp_path, capfd):
+    """What the image held before the lamps is gone, so it can't be taken out of it."""
+    sky(hang_panel(room))
+    room.lightpanes.storage = "BESIDE"
+    bpy.data.objects["Room"].hide_render = True
+    bpy.ops.mesh.primitive_plane_add(size=2, location=(0, 0, -1))
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    save(tmp_path / "room.blend")
+    (steady,) = beside.folder_of(tmp_path / "room.blend").glob(f"{store.STEADY} *.exr")
+    open_file(tmp_path / "room.blend")
+    steady.unlink()
+    scene = open_file(tmp_path / "room.blend")
+    scene.lightpanes.direct = "OFF"
+    assert f"'{steady}' of this bake is missing" in relight.session(scene).error
+    assert "Traceback" not in capfd.readouterr().err
