@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..lights import SUN_REACH
-from ..sampling import concentric_disk, frame, hammersley_points
+from ..sampling import concentric_disk, frame, hammersley_points, uniform_sphere
 from ..scene import Light, SceneError
 
 
@@ -80,7 +80,7 @@ def sample_lamp(light: Light, count: int, sets: int = 1, seed: int = 0, extent: 
     """
     if count < 1 or sets < 1:
         raise SceneError(f"Lamp '{light.name}' needs at least one sample and one set, not {count} and {sets}.")
-    lattices = np.stack([hammersley_points(count, seed * 1009 + k) for k in range(sets)])
+    lattices = _lattices(count, sets, seed)
     if light.kind == "AREA":
         return _panel(light, lattices)
     if light.kind == "SUN":
@@ -99,7 +99,7 @@ def sample_quad(corners: np.ndarray, count: int, sets: int = 1, seed: int = 0, n
     size = np.linalg.norm(u) + np.linalg.norm(v)
     if np.linalg.norm(normal) < 1e-9 * size**2 or np.linalg.norm(a + c - b - d) > 1e-4 * size:
         raise SceneError(f"'{name}' is no parallelogram; split it into some.")
-    lattices = np.stack([hammersley_points(count, seed * 1009 + k) for k in range(sets)]) * 2 - 1
+    lattices = _lattices(count, sets, seed) * 2 - 1
     normal /= np.linalg.norm(normal)
     x = u / np.linalg.norm(u)
     y = np.cross(normal, x)
@@ -118,7 +118,7 @@ def sample_ball(centre, radius: float, count: int, sets: int = 1, seed: int = 0,
     """
     if radius <= 0:
         raise SceneError(f"'{name}' needs a radius above 0.")
-    lattices = np.stack([hammersley_points(count, seed * 1009 + k) for k in range(sets)])
+    lattices = _lattices(count, sets, seed)
     # the third coordinate: an additive recurrence along the lattice's first
     deep = np.modf(np.arange(1, count + 1) * np.sqrt(2))[0]
     directions = _sphere(lattices)
@@ -127,6 +127,11 @@ def sample_ball(centre, radius: float, count: int, sets: int = 1, seed: int = 0,
     return LampSamples(
         name, np.eye(3), np.asarray(centre, np.float64), half, places.astype(np.float32), one_sided=False
     )
+
+
+def _lattices(count: int, sets: int, seed: int) -> np.ndarray:
+    """(sets, count, 2) float32 in [0, 1)."""
+    return np.stack([hammersley_points(count, seed * 1009 + k) for k in range(sets)])
 
 
 def _panel(light: Light, lattices) -> LampSamples:
@@ -146,9 +151,10 @@ def _sun(light: Light, lattices, reach: float) -> LampSamples:
             f"Sun '{light.name}' has an angle of {np.degrees(light.angle):.3g}°; it must be above 0 and below 180."
         )
     # samples even in solid angle, projected onto the plane at distance 1 in front of the sun's middle
-    depth = (np.linalg.norm(_disk(lattices), axis=-1) ** 2) * (1 - np.cos(light.angle / 2))
     flat = _disk(lattices)
-    unit = flat / np.maximum(np.linalg.norm(flat, axis=-1, keepdims=True), 1e-12)
+    radius = np.linalg.norm(flat, axis=-1, keepdims=True)
+    depth = radius[..., 0] ** 2 * (1 - np.cos(light.angle / 2))
+    unit = flat / np.maximum(radius, 1e-12)
     tangent = np.sqrt(depth * (2 - depth)) / (1 - depth)
     half = np.tan(light.angle / 2)
     places = np.concatenate([unit * (tangent / half)[..., None], np.zeros_like(flat[..., :1])], axis=-1)
@@ -167,9 +173,7 @@ def _ball(light: Light, lattices) -> LampSamples:
         raise SceneError(f"Lamp '{light.name}' has no radius: its shadows are sharp.")
     axes = _axes(light)
     half = np.full(3, float(light.radius))
-    return LampSamples(
-        light.name, axes, light.position.copy(), half, _sphere(lattices).astype(np.float32), one_sided=False
-    )
+    return LampSamples(light.name, axes, light.position.copy(), half, _sphere(lattices), one_sided=False)
 
 
 def _axes(light: Light) -> np.ndarray:
@@ -185,6 +189,4 @@ def _disk(lattices):
 
 
 def _sphere(lattices):
-    z = 1 - 2 * lattices[..., 0].astype(np.float64)
-    ring, turn = np.sqrt(np.maximum(1 - z * z, 0)), 2 * np.pi * lattices[..., 1]
-    return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=-1)
+    return np.stack([uniform_sphere(lattice) for lattice in lattices])

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..surface.components import components
+
 FLAT = 4e-7
 """Distance from a plane or a line, in parts of the largest coordinate, that float32 vertices of a flat face may have."""
 
@@ -57,7 +59,7 @@ def make_polygons(corners: np.ndarray, merge: bool = True) -> Polygons:
     cross = np.cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
     normal = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
     mate = _mates(vertex)
-    part = _components(len(corners), mate)
+    part = _parts(mate)
     closed, inverted = _closed(places, mate, part)
     flip = inverted[part]
     vertex[flip], places[flip] = vertex[flip][:, ::-1], places[flip][:, ::-1]
@@ -104,25 +106,10 @@ def _mates(vertex: np.ndarray) -> np.ndarray:
     return mate.reshape(-1, 3)
 
 
-def _components(count: int, mate: np.ndarray, keep: np.ndarray | None = None) -> np.ndarray:
-    """(count,) int32 number of the connected component of each triangle; keep: (T, 3) bool, mates that connect."""
+def _parts(mate: np.ndarray, keep: np.ndarray | None = None) -> np.ndarray:
+    """(T,) int32 number of the connected part of each triangle; keep: (T, 3) bool, mates that connect."""
     linked = mate >= 0 if keep is None else keep
-    here = np.repeat(np.arange(count), 3).reshape(-1, 3)[linked]
-    there = mate[linked] // 3
-    label = np.arange(count)
-    while len(here):
-        # roots take the smaller of the two roots' numbers, then chains are cut short: about log(n) rounds
-        a, b = label[here], label[there]
-        apart = a != b
-        if not apart.any():
-            break
-        here, there, a, b = here[apart], there[apart], a[apart], b[apart]
-        least = np.minimum(a, b)
-        np.minimum.at(label, a, least)
-        np.minimum.at(label, b, least)
-        while (label[label] != label).any():
-            label = label[label]
-    return np.unique(label, return_inverse=True)[1].reshape(-1).astype(np.int32)
+    return components(len(mate), np.nonzero(linked)[0], mate[linked] // 3)
 
 
 def _closed(places, mate, part):
@@ -142,7 +129,7 @@ def _merge(plain: Polygons, vertex, mate, tolerance) -> Polygons:
     """Flat convex parts as one polygon, pairs of triangles elsewhere."""
     triangles = plain.vertices.reshape(-1, 3, 3)
     flat = (mate >= 0) & _in_plane(plain, triangles, mate, tolerance)
-    patch = _components(len(triangles), mate, flat)
+    patch = _parts(mate, flat)
     polygon, taken = _whole_patches(plain, triangles, mate, flat, patch, tolerance)
     quads, paired = _pairs(plain, triangles, mate, flat & ~taken[:, None], tolerance)
     rest = np.flatnonzero(~taken & ~paired)

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..sampling import hash_uniform
 from ..scene import Scene
+from .components import components
 from .samples import SurfaceSamples, inside_triangle, sample_triangles, surface_colour
 
 ROOM = 100
@@ -148,16 +149,8 @@ def _islands(scene, rows, size):
     """(len(rows),) int64 number of the connected part of a mesh that each triangle belongs to, 0 for all small parts:
     rooms of one mesh share no patch across a thin wall, the leaves of a tree do."""
     triangles = scene.triangles[rows]
-    label = np.arange(len(scene.positions))
-    while True:
-        least = label[triangles].min(axis=1)
-        before = label.copy()
-        for k in range(3):
-            np.minimum.at(label, triangles[:, k], least)
-        label = label[label]
-        if np.array_equal(label, before):
-            break
-    _, island = np.unique(label[triangles[:, 0]], return_inverse=True)
+    part = components(len(scene.positions), triangles[:, :2].ravel(), triangles[:, 1:].ravel())
+    _, island = np.unique(part[triangles[:, 0]], return_inverse=True)
     island = island.reshape(-1)
     area = np.bincount(island, 0.5 * np.linalg.norm(scene.triangle_cross(rows).astype(np.float64), axis=1))
     large = area > ROOM * size * size

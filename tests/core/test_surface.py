@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lightpanes.core.scene import Material, Scene, SceneError, SceneObject
 from lightpanes.core.surface import make_patches, make_texels, sample_triangles
+from lightpanes.core.surface.components import components
 from lightpanes.core.surface.patches import bisect
 from lightpanes.core.surface.samples import surface_colour
 from lightpanes.core.surface.texels import GUTTER
@@ -62,6 +63,23 @@ def test_bisection_stops_at_its_limit():
     assert 300 < len(pieces) <= 1000
     assert areas(pieces).sum() == pytest.approx(1.5)
     assert set(parent) == {0, 1, 2}
+
+
+@pytest.mark.parametrize("edges", [0, 30, 60, 200])
+def test_components(edges):
+    """Against a walk from node to node."""
+    rng = np.random.default_rng(edges)
+    here, there = rng.integers(0, 100, (2, edges))
+    found, parts = np.full(100, -1), 0
+    for start in range(100):
+        pending = [start] if found[start] < 0 else []
+        parts += len(pending)
+        while pending:
+            node = pending.pop()
+            if found[node] < 0:
+                found[node] = parts - 1
+                pending += [*there[here == node], *here[there == node]]
+    assert np.array_equal(components(100, here, there), found)
 
 
 @pytest.mark.parametrize("count", [100, 800])
