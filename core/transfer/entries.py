@@ -21,6 +21,10 @@ PLACES = 16
 """Places on each entry from which its rays start and where lamps are evaluated."""
 
 PILOT_RAYS = 16
+
+SCOUTS = 12_000
+"""Places, about, on sides newly found from which such rays look for more of them."""
+
 SIGNIFICANT = 0.02
 """A back side gets an entry when its share of the rays exceeds this part of the average side's."""
 
@@ -119,7 +123,7 @@ def find_entries(
         sides = np.flatnonzero(fresh)
         if not len(sides):
             break
-        chosen = np.tile(sides, max(1, 12_000 // len(sides)))
+        chosen = np.tile(sides, max(1, SCOUTS // len(sides)))
         points = _places(scene, patches, chosen // 2, chosen % 2 == 1, seed + 11 + step)
         total = total + pilot(points, 200 + step)[0]
         now = _significant(total, patches)

@@ -7,7 +7,9 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 import lightpanes  # noqa: E402
+from lightpanes.tests.frugal import save_rays  # noqa: E402
 
+from .files import empty  # noqa: E402
 from .soft import hang_panel  # noqa: E402
 
 # Budgets of a bake that is done in half a second and still looks like the room.
@@ -15,10 +17,16 @@ SMALL = {"entries": 300, "entry_rays": 128, "exit_rays": 32, "regions": 8, "pane
 SMALL |= {"points": 400, "point_rays": 1024}
 
 
+@pytest.fixture(scope="session", autouse=True)
+def factory():
+    """No test sees the preferences of whoever runs it."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
 @pytest.fixture
 def blender():
     """An empty Blender with Lightpanes registered, and no trace of the test before."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    empty()
     lightpanes.register()
     yield bpy
     lightpanes.unregister()
@@ -30,6 +38,7 @@ def quick(monkeypatch):
     from lightpanes.addon import baking
 
     monkeypatch.setattr(baking, "Settings", functools.partial(baking.Settings, **SMALL))
+    save_rays(monkeypatch)
 
 
 @pytest.fixture(scope="module")

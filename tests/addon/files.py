@@ -1,13 +1,19 @@
-"""Saving and opening again."""
+"""Empty files, saving and opening again."""
 
 import bpy
+
+
+def empty():
+    """A new file without anything in it. Unlike `read_factory_settings` it leaves the preferences, which takes a fifth
+    of the time."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
 
 
 def reopen(tmp_path):
     """Save, forget everything and open what was saved; returns its scene."""
     path = str(tmp_path / "saved.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path)
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    empty()
     bpy.ops.wm.open_mainfile(filepath=path)
     return bpy.context.scene
 

@@ -13,7 +13,7 @@ from lightpanes.core.panes import Relighter  # noqa: E402
 from lightpanes.core.rays import Tracer  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
 
-from .files import baked_once, reopen  # noqa: E402
+from .files import baked_once, empty, reopen  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("quick")
 
@@ -271,7 +271,7 @@ def test_no_bake(room, tmp_path):
 
 
 def test_an_unsaved_file(baked, tmp_path):
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    empty()
     told = refused("//lightpanes_irradiance/")
     assert told.startswith(
         "The folder '//lightpanes_irradiance/' lies beside the .blend, which has not been saved yet."

@@ -10,7 +10,7 @@ from lightpanes.addon.meshes import BAKE  # noqa: E402
 
 from .conftest import furnish  # noqa: E402
 from .drawing import draw, texts  # noqa: E402
-from .files import baked_once, reopen  # noqa: E402
+from .files import baked_once, empty, reopen  # noqa: E402
 from .mending import found, mend  # noqa: E402
 from .test_operators import everything  # noqa: E402
 from .test_sequences import ours, trees  # noqa: E402
@@ -28,7 +28,7 @@ def library(baked, tmp_path):
     """The baked room in a file, and then another one that is empty; returns the file."""
     path = tmp_path / "library.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    empty()
     return path
 
 
@@ -125,7 +125,7 @@ def test_light_at_vertices_is_not_overwritten_by_another_bake(room, tmp_path):
     assert bpy.ops.lightpanes.bake() == {"FINISHED"}
     path = tmp_path / "library.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    empty()
     furnish().lightpanes.seed = 3
     bpy.data.objects["Block"].lightpanes.target = "VERTICES"
     assert bpy.ops.lightpanes.bake() == {"FINISHED"}
@@ -169,12 +169,12 @@ def test_an_instance_of_a_linked_collection_is_told(baked, tmp_path):
         collection.objects.link(bpy.data.objects[name])
     path = tmp_path / "library.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    empty()
     with bpy.data.libraries.load(str(path), link=True) as (_, here):
         here.collections = ["House"]
-    empty = bpy.data.objects.new("House", None)
-    empty.instance_type, empty.instance_collection = "COLLECTION", here.collections[0]
-    bpy.context.scene.collection.objects.link(empty)
+    house = bpy.data.objects.new("House", None)
+    house.instance_type, house.instance_collection = "COLLECTION", here.collections[0]
+    bpy.context.scene.collection.objects.link(house)
     bpy.context.view_layer.update()
     (told,) = found("FOREIGN_LIGHT")
     assert told.names == ("Block", "Room")
@@ -189,7 +189,7 @@ def test_a_bake_that_is_appended_with_its_objects_can_be_used(room, tmp_path, ex
     light = image(room)
     path = tmp_path / "library.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    empty()
     scene = bpy.context.scene
     bring(path, "Room", "Block", "Lamp", store.ENTRIES)
     assert store.find_entries(scene) is None
@@ -212,7 +212,7 @@ def test_a_bake_that_is_appended_and_not_used_goes_with_clear(library):
 def test_an_appended_scene_relights(baked, tmp_path):
     path = tmp_path / "library.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    empty()
     with bpy.data.libraries.load(str(path), link=False) as (_, here):
         here.scenes = ["Scene"]
     bpy.context.window.scene = here.scenes[0]

@@ -10,6 +10,8 @@ from lightpanes.addon.meshes import LAYER, loop_triangles, read_attribute  # noq
 from lightpanes.addon.snapshot import Snapshot  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
 
+from .files import empty  # noqa: E402
+
 
 def add(kind, **options):
     getattr(bpy.ops.mesh, f"primitive_{kind}_add")(**options)
@@ -304,7 +306,7 @@ def test_linked_mesh_receives_nothing(blender, tmp_path):
     library = tmp_path / "library.blend"
     obj = add("cube")
     bpy.data.libraries.write(str(library), {obj})
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    empty()
     with bpy.data.libraries.load(str(library), link=True) as (found, into):
         into.objects = found.objects
     bpy.context.scene.collection.objects.link(into.objects[0])

@@ -12,7 +12,7 @@ from lightpanes.addon import beside, commands, panel, relight, store  # noqa: E4
 from lightpanes.core.scene import SceneError  # noqa: E402
 
 from .drawing import draw, paragraph, texts  # noqa: E402
-from .files import baked_once  # noqa: E402
+from .files import baked_once, empty  # noqa: E402
 from .mending import found  # noqa: E402
 from .soft import hang_panel, sky  # noqa: E402
 from .test_sequences import ours  # noqa: E402
@@ -35,7 +35,7 @@ def save(path, **options):
 
 def open_file(path):
     """What a fresh Blender would see."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    empty()
     bpy.ops.wm.open_mainfile(filepath=str(path))
     return bpy.context.scene
 
@@ -448,7 +448,7 @@ def test_undo_after_saving(baked, tmp_path):
 def test_an_appended_object_reads_the_library_s_files(baked, tmp_path):
     save(tmp_path / "library" / "room.blend")
     before = image(baked)
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    empty()
     with bpy.data.libraries.load(str(tmp_path / "library" / "room.blend")) as (_, here):
         here.objects = ["Block"]
     bpy.context.scene.collection.objects.link(here.objects[0])

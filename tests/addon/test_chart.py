@@ -15,6 +15,7 @@ from lightpanes.addon.extract import extract  # noqa: E402
 from lightpanes.core import metrics  # noqa: E402
 from lightpanes.core.bake import Progress, Settings  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
+from lightpanes.tests.frugal import save_rays  # noqa: E402
 
 SIZE = 48
 SMALL = {"entries": 400, "entry_rays": 256, "exit_rays": 64, "regions": 8, "panes": 16, "lamps": 150}
@@ -29,6 +30,15 @@ def small(monkeypatch):
     monkeypatch.setattr(chart, "LADDER", ({**SMALL, "entries": 200, "exit_rays": 16}, SMALL))
     monkeypatch.setattr(chart, "WALKS", (64, 256))
     monkeypatch.setattr(chart, "ROUNDS", 2)
+    save_rays(monkeypatch)
+
+
+@pytest.fixture
+def least(small, monkeypatch):
+    """A chart whose figures do not matter."""
+    monkeypatch.setattr(chart, "CYCLES_SPP", (1, 2))
+    monkeypatch.setattr(chart, "REFERENCE_SPP", {"far": 4, "near": 4})
+    monkeypatch.setattr(chart, "LADDER", ({**SMALL, "entries": 200, "exit_rays": 16},))
 
 
 @pytest.fixture
@@ -171,7 +181,7 @@ def test_black_scene(room, small):
         chart.measure(bpy.context, 32)
 
 
-def test_long_ways_are_left_out(room, small, monkeypatch):
+def test_long_ways_are_left_out(room, least, monkeypatch):
     monkeypatch.setattr(chart, "PATIENCE", 0.0)
     found = chart.measure(bpy.context, 32)
     assert len(found["methods"]["The paper's method"]) == 1
@@ -182,7 +192,7 @@ def run_chart(*words):
     return commands.main(["chart", *map(str, words), "--resolution", "32"])
 
 
-def test_command_writes_picture_and_figures(file, small, tmp_path, capsys):
+def test_command_writes_picture_and_figures(file, least, tmp_path, capsys):
     pytest.importorskip("matplotlib")
     original, folder = file.read_bytes(), tmp_path / "out"
     assert run_chart(file, "--output", folder, "--json", tmp_path / "report.json") == 0
@@ -198,7 +208,7 @@ def test_command_writes_picture_and_figures(file, small, tmp_path, capsys):
     assert 0.01 < (pixels.min(axis=1) < 0.8).mean() < 0.4
 
 
-def test_command_without_matplotlib(file, small, monkeypatch, capsys):
+def test_command_without_matplotlib(file, least, monkeypatch, capsys):
     for name in [n for n in sys.modules if n.split(".")[0] == "matplotlib" or n == "lightpanes.addon.plot"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "matplotlib", None)

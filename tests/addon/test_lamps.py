@@ -10,10 +10,12 @@ bpy = pytest.importorskip("bpy")
 from lightpanes.addon import lamps  # noqa: E402
 from lightpanes.tests.bench import bench_lights as bench  # noqa: E402
 
+from .files import empty  # noqa: E402
+
 
 @pytest.fixture(autouse=True)
-def empty():
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+def emptied():
+    empty()
 
 
 def add(kind="POINT", **settings):

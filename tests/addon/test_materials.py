@@ -7,6 +7,8 @@ bpy = pytest.importorskip("bpy")
 
 from lightpanes.addon import atlas, extract, maps, materials  # noqa: E402
 
+from .files import empty  # noqa: E402
+
 COLOUR = (0.2, 0.5, 0.8)
 RESOLUTION = 64
 
@@ -160,7 +162,7 @@ def test_our_own_nodes_are_not_the_material(blender):
 
 def indirect(shader_of, samples):
     """(3,) indirect irradiance over direct in a closed box of the material, on a small matt patch; by Cycles."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    empty()
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     settings = scene.cycles

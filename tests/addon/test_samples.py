@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
+
 from mathutils import Matrix, Vector  # noqa: E402
 from mathutils.bvhtree import BVHTree  # noqa: E402
+
+from .files import empty  # noqa: E402
 
 FOLDER = Path(__file__).resolve().parents[2] / "sample_blends"
 SAMPLES = {
@@ -30,7 +33,7 @@ LAMPS = {
 def sample(request):
     bpy.ops.wm.open_mainfile(filepath=str(FOLDER / f"{request.param}.blend"))
     yield request.param
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    empty()
 
 
 def tree_of_scene():

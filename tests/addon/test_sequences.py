@@ -20,6 +20,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from lightpanes.addon import baking, direct, job, nodes, relight, store  # noqa: E402
 
 from .conftest import SMALL, furnish  # noqa: E402
+from .files import empty  # noqa: E402
 
 SEQUENCES = int(os.environ.get("LIGHTPANES_SEQUENCES", "4"))
 STEPS = 12
@@ -73,7 +74,7 @@ class Sequences(RuleBasedStateMachine):
 
     @initialize()
     def begin(self):
-        bpy.ops.wm.read_factory_settings(use_empty=True)
+        empty()
         lightpanes.register()
         baking.Settings = functools.partial(PLAIN, **SMALL)
         furnish()

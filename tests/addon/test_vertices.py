@@ -7,7 +7,7 @@ bpy = pytest.importorskip("bpy")
 
 from lightpanes.addon import nodes, store, vertices  # noqa: E402
 
-from .files import baked_once  # noqa: E402
+from .files import baked_once, empty  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("quick")
 
@@ -145,7 +145,7 @@ def test_relights_after_reopening(baked, tmp_path):
     before = light()
     path = str(tmp_path / "saved.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path)
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    empty()
     bpy.ops.wm.open_mainfile(filepath=path)
     assert np.array_equal(light(), before)
     bpy.data.objects["Lamp"].location.x = 0.45

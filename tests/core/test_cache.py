@@ -1,8 +1,8 @@
 """Parts of a cancelled bake in files: the next one goes on from there, whatever happens to the files."""
 
-import functools
 import os
 import pickle
+import shutil
 import time
 
 import numpy as np
@@ -13,7 +13,9 @@ from lightpanes.core.files import replacing
 from lightpanes.core.transfer import Begun, Transport
 
 from .shapes import quick
-from .test_kept import cancel_at, made, same
+from .test_kept import cancel_at, long, made, plain, same, whole
+
+pytestmark = pytest.mark.usefixtures("frugal")
 
 KEY, NAME = bytes(range(16)), bytes(range(16, 32))
 LIMIT = 10**9
@@ -28,39 +30,46 @@ def files(cache):
     return sorted(path.name for path in cache.folder.iterdir()) if cache.folder.exists() else []
 
 
-@functools.cache
-def plain():
-    """The bake that nothing has disturbed."""
-    return bake(made(), quick())
-
-
 def cancelled(cache, settings, stage="Exits", part=0.02):
     """A bake that is cancelled in a process that ends then."""
     with pytest.raises(Cancelled):
         bake(made(), settings, cancel_at(stage, part, []), Kept(cache))
 
 
+@pytest.fixture(scope="module")
+def folder(frugal, tmp_path_factory):
+    """What a cancelled bake leaves."""
+    place = tmp_path_factory.mktemp("cancelled") / "cache"
+    cancelled(Cache(place, LIMIT), quick())
+    return place
+
+
+@pytest.fixture
+def left(cache, folder):
+    """A cache of which a bake that was cancelled has left parts."""
+    shutil.copytree(folder, cache.folder)
+    return cache
+
+
 @pytest.mark.parametrize("exits", ["texels", "points"])
 def test_a_bake_goes_on_in_another_process(cache, exits):
-    settings = quick(exits=exits, points=4000, point_rays=64, resolution=384, exit_rays=32)
-    whole = bake(made(), settings)
+    settings = long(exits)
     for stage, part in (("Transport", 0.01), ("Lamps", 0.01), ("Exits", 0.02), ("Exits", 0.02), ("Check", 0.0)):
         cancelled(cache, settings, stage, part)
     assert files(cache)
     seen, kept = [], Kept(cache)
     again = bake(made(), settings, lambda now: seen.append((now.stage, now.rays)), kept)
-    assert same(whole, again) and isinstance(again, Bake)
-    assert seen[-1][1] < 0.4 * whole.meta["report"]["rays"]
+    assert same(whole(exits), again) and isinstance(again, Bake)
+    assert seen[-1][1] < 0.4 * whole(exits).meta["report"]["rays"]
     # done, but perhaps not stored yet
     assert files(cache)
     kept.clear()
     assert not files(cache)
 
 
-def test_another_scene_or_other_settings_have_their_own(cache):
-    cancelled(cache, quick())
-    before = files(cache)
-    assert same(bake(made(), quick(seed=3), kept=Kept(cache)), bake(made(), quick(seed=3)))
+def test_another_scene_or_other_settings_have_their_own(left):
+    cache, before = left, files(left)
+    assert same(bake(made(), quick(seed=3), kept=Kept(cache)), plain(3))
     assert files(cache) == before
     kept = Kept(cache)
     assert same(bake(made(), quick(), kept=kept), plain())
@@ -73,8 +82,8 @@ def test_without_a_cancel_nothing_is_written(cache):
     assert not files(cache)
 
 
-def test_an_error_leaves_nothing(cache):
-    cancelled(cache, quick())
+def test_an_error_leaves_nothing(left):
+    cache = left
 
     def fail(now):
         if now.stage == "Exits":
@@ -86,8 +95,8 @@ def test_an_error_leaves_nothing(cache):
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "empty", "text", "pickle", "others", "folder"])
-def test_damaged_files_are_deleted_and_made_anew(cache, damage):
-    cancelled(cache, quick())
+def test_damaged_files_are_deleted_and_made_anew(left, damage):
+    cache = left
     for place in cache.folder.iterdir():
         data = bytearray(place.read_bytes())
         if damage == "cut":

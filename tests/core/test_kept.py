@@ -1,5 +1,6 @@
 """A cancelled bake goes on where it ended, and ends the same."""
 
+from functools import cache
 from itertools import count
 
 import numpy as np
@@ -9,9 +10,28 @@ from lightpanes.core.bake.kept import digest
 
 from .shapes import lamp, quick, room
 
+pytestmark = pytest.mark.usefixtures("frugal")
+
 
 def made():
     return room(lights=[lamp((1, 1, 2))])
+
+
+@cache
+def plain(seed=0):
+    """The bake that nothing has disturbed."""
+    return bake(made(), quick(seed=seed))
+
+
+def long(exits):
+    """A bake whose exits take several chunks of rays."""
+    return quick(exits=exits, points=4000, point_rays=64, resolution={"texels": 384, "points": 64}[exits], exit_rays=32)
+
+
+@cache
+def whole(exits):
+    """The long bake, in one go."""
+    return bake(made(), long(exits))
 
 
 def same(one, other) -> bool:
@@ -32,18 +52,16 @@ def cancel_at(stage: str, part: float, seen: list):
 
 @pytest.mark.parametrize("exits", ["texels", "points"])
 def test_a_bake_in_several_goes(exits):
-    settings = quick(exits=exits, points=4000, point_rays=64, resolution=384, exit_rays=32)
-    whole = bake(made(), settings)
-    kept = Kept()
+    settings, kept = long(exits), Kept()
     goes = [("Transport", 0.01), ("Lamps", 0.01), ("Exits", 0.02), ("Exits", 0.02), ("Check", 0.0)]
     for stage, part in goes:
         with pytest.raises(Cancelled):
             bake(made(), settings, cancel_at(stage, part, []), kept)
     seen = []
     again = bake(made(), settings, lambda now: seen.append((now.stage, now.rays)), kept)
-    assert same(whole, again)
+    assert same(whole(exits), again)
     # all rays but those of the check had been traced
-    assert seen[-1][1] < 0.3 * whole.meta["report"]["rays"]
+    assert seen[-1][1] < 0.3 * whole(exits).meta["report"]["rays"]
     # the next one asks for it again, unless it is told that the bake has arrived
     assert bake(made(), settings, kept=kept) is again and list(kept.parts) == ["bake"]
 
@@ -57,7 +75,7 @@ def test_what_is_kept_belongs_to_one_scene_and_its_settings():
     assert same(bake(other, quick(), kept=kept), bake(other, quick()))
     with pytest.raises(Cancelled):
         bake(made(), quick(), cancel_at("Exits", 0.0, []), kept)
-    assert same(bake(made(), quick(seed=3), kept=kept), bake(made(), quick(seed=3)))
+    assert same(bake(made(), quick(seed=3), kept=kept), plain(3))
 
 
 @pytest.mark.parametrize(("exits", "kind"), [("texels", "SUN"), ("points", "AREA")])
@@ -68,7 +86,7 @@ def test_a_live_lamp_that_was_dimmed_changes_no_bake(exits, kind):
         return room(lights=[lamp((1, 1, 2), kind=kind, **more)])
 
     other = lit(power=(0.1, 2, 3), radius=0.3, size=(0.2, 0.1), angle=0.1, spot_angle=0.5)
-    settings = quick(exits=exits)
+    settings = quick(exits=exits, points=1000, point_rays=64)
     kept, seen = Kept(), []
     with pytest.raises(Cancelled):
         bake(lit(), settings, cancel_at("Exits", 0.0, []), kept)

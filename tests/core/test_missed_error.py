@@ -6,6 +6,8 @@ from lightpanes.core.planner import Budget, Settings
 
 from .shapes import lamp, quick, room
 
+pytestmark = pytest.mark.usefixtures("frugal")
+
 
 @pytest.mark.parametrize(
     ("cut", "more", "told"),

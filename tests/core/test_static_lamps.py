@@ -87,7 +87,7 @@ def test_light_near_a_lamp_leaves_from_where_it_falls():
     white = Material("White", (0.8,) * 3)
     light = lamp((0.35, 1.5, 0.2))
     made = scene((*box((0, 0, 0), (4, 3, 2.5), True), 0), materials=(white,), lights=[light])
-    truth = bake(replace(made, lights=(still(light),)), quick(entries=6000, exit_rays=1024))
+    truth = bake(replace(made, lights=(still(light),)), quick(entries=3000, exit_rays=1024))
     static = bake(replace(made, lights=(still(light),)), quick(entries=400, exit_rays=512))
     live = bake(made, quick(entries=400, exit_rays=512, panes=24))
     expected = relighter(made, truth).relight(())[..., 0].copy()
