@@ -44,7 +44,8 @@ def folder(tmp_path_factory):
 
 def run(folder, *arguments):
     """What Blender prints; it starts with the user resources in `folder`, and must succeed."""
-    environment = {**os.environ, "BLENDER_USER_RESOURCES": str(folder / "user")}
+    # Blender 4.5 takes relative paths to start from PWD
+    environment = {**os.environ, "BLENDER_USER_RESOURCES": str(folder / "user"), "PWD": str(folder)}
     command = [BLENDER, "--python-exit-code", "3", *map(str, arguments)]
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
