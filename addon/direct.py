@@ -6,6 +6,7 @@ beside Blender's own work, coarsely until it rests, so that the indirect light, 
 
 from __future__ import annotations
 
+import hashlib
 import json
 import threading
 import time
@@ -33,8 +34,10 @@ QUICK = 0.05
 TICK = 0.01
 """Seconds between two looks at what works beside Blender."""
 
-# On `Lightpanes Direct`: key of the lamps that its packed pixels show, and the names of these lamps' objects.
+# On `Lightpanes Direct`: keys of the lamps and of the surfaces that its packed pixels show, and the names of these lamps'
+# objects.
 PACKED = "lightpanes_lamps"
+SURFACES = "lightpanes_surfaces"
 OWNERS = "lightpanes_owners"
 
 Read = Callable[[], tuple[Panes, Scene, Tracer]]
@@ -55,7 +58,7 @@ class Asked:
 class Held:
     """What is known about one scene's direct light while Blender runs.
 
-    bake: key of its bake. surfaces: key of the shapes that `atlas` was made from. shown: key of what the image shows in
+    bake: key of its bake. surfaces: key of the shapes that the image shows, "" where that is not known. shown: key of what the image shows in
     full, coarse: coarsely. linked: what `link` last went by. since: when what is asked for last changed; pause: until when
     nothing coarse is begun.
     """
@@ -118,7 +121,8 @@ def held(scene: bpy.types.Scene) -> Held:
     if found is None or found.bake != key:
         image = store.find_image(scene, store.DIRECT)
         packed = image is not None and not image.is_dirty and image.get(PACKED)
-        found = _held[scene.session_uid] = Held(key, shown=packed or "")
+        found = Held(key, shown=packed or "", surfaces=image.get(SURFACES, "") if packed else "")
+        _held[scene.session_uid] = found
     return found
 
 
@@ -184,7 +188,7 @@ def end(scene: bpy.types.Scene) -> None:
     if steady is not None:
         store.write_image(scene, store.DIRECT, steady)
         image.pack()
-        for key in (PACKED, OWNERS):
+        for key in (PACKED, SURFACES, OWNERS):
             if key in image:
                 del image[key]
         store.drop_image(scene, store.STEADY)
@@ -281,20 +285,20 @@ def finish(scene: bpy.types.Scene) -> None:
 
 
 def note_packed(scene: bpy.types.Scene) -> None:
-    """Before images are packed: say which lamps they show."""
+    """Before images are packed: say which lamps and surfaces they show."""
     image, mine = store.find_image(scene, store.DIRECT), _held.get(scene.session_uid)
     if image is not None and mine is not None and image.is_dirty:
-        image[PACKED] = mine.shown
+        image[PACKED], image[SURFACES] = mine.shown, mine.surfaces
 
 
 def look_again(scene: bpy.types.Scene, fingerprint: dict[str, str]) -> bool:
     """After surfaces may have changed: True where the image shows others than these (`extract.fingerprint`)."""
     with _lock:
-        mine = _held.get(scene.session_uid)
-        if mine is None or mine.atlas is None or mine.surfaces == _surfaces(fingerprint):
+        mine = held(scene) if is_baked(scene) else None
+        if mine is None or mine.surfaces in ("", _surfaces(fingerprint)):
             return False
         _settle(mine)
-        mine.atlas, mine.asked, mine.shown, mine.coarse = None, None, "", ""
+        mine.atlas, mine.asked, mine.surfaces, mine.shown, mine.coarse = None, None, "", "", ""
         return True
 
 
@@ -346,7 +350,7 @@ def _basis(scene, names) -> tuple:
 
 
 def _surfaces(fingerprint) -> str:
-    return repr(sorted(fingerprint.items()))
+    return hashlib.blake2b(repr(sorted(fingerprint.items())).encode(), digest_size=8).hexdigest()
 
 
 def _make_atlas(context, mine: Held, read: Read) -> None:

@@ -9,7 +9,7 @@ bpy = pytest.importorskip("bpy")
 import lightpanes  # noqa: E402
 from lightpanes.tests.frugal import save_rays  # noqa: E402
 
-from .files import empty  # noqa: E402
+from .files import baked_once, empty  # noqa: E402
 from .soft import hang_panel  # noqa: E402
 
 # Budgets of a bake that is done in half a second and still looks like the room.
@@ -60,10 +60,16 @@ def panel(room):
 
 
 @pytest.fixture
-def baked_panel(panel):
-    """The same, baked."""
+def fresh_panel(panel):
+    """The same, just baked."""
     assert bpy.ops.lightpanes.bake() == {"FINISHED"}
     return panel
+
+
+@pytest.fixture
+def baked_panel(panel, saved):
+    """The same, but for all tests but the first opened from a file."""
+    return baked_once(panel, saved)
 
 
 def furnish():

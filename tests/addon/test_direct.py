@@ -47,13 +47,13 @@ def test_it_moves_with_the_lamp(baked_panel):
     assert np.allclose(image(), 2 * before, rtol=1e-5, atol=1e-6)
 
 
-def test_only_lamps_that_changed_are_cast_again(baked_panel, monkeypatch):
+def test_only_lamps_that_changed_are_cast_again(fresh_panel, monkeypatch):
     cast = []
     unit = DirectLight.unit
     monkeypatch.setattr(
         DirectLight, "unit", lambda self, light, *more: cast.append(light.name) or unit(self, light, *more)
     )
-    second = shine(baked_panel, "Second", (0.5, 0.5, 0.5))
+    second = shine(fresh_panel, "Second", (0.5, 0.5, 0.5))
     update()
     assert cast == ["Second"]
     second.data.energy = 5.0
@@ -196,7 +196,11 @@ def test_reopening_computes_nothing_and_then_follows(baked_panel, tmp_path):
     assert np.allclose(image(), expected, rtol=1e-3, atol=1e-3)
 
 
-def test_an_object_that_moves_takes_its_light_along(baked_panel):
+@pytest.mark.parametrize("way", ["baked", "reopened"])
+def test_an_object_that_moves_takes_its_light_along(fresh_panel, tmp_path, way):
+    if way == "reopened":
+        reopen(tmp_path)
+        update()
     bpy.data.objects["Block"].location.x -= 0.4
     update()
     assert error() < 0.04
@@ -393,11 +397,11 @@ def test_deleted_images(baked_panel):
     assert store.find_image(baked_panel, store.DIRECT) in [getattr(node, "image", None) for node in group.nodes]
 
 
-def test_the_panel_says_what_it_took_and_what_is_left_out(baked_panel):
+def test_the_panel_says_what_it_took_and_what_is_left_out(fresh_panel):
     drawn = draw(drawn_panel.LIGHTPANES_PT_output)
     labels = texts(drawn, "label")
     assert "direct" in texts(drawn, "prop") and "Last Direct Light" in labels
-    shine(baked_panel, "Second").light_linking.receiver_collection = bpy.data.collections.new("Mine")
+    shine(fresh_panel, "Second").light_linking.receiver_collection = bpy.data.collections.new("Mine")
     update()
     said = " ".join(texts(draw(drawn_panel.LIGHTPANES_PT_output), "label"))
     assert "Lamp 'Second' has light linking of its own" in said
