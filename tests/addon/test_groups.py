@@ -10,7 +10,7 @@ bpy = pytest.importorskip("bpy")
 from lightpanes.addon import commands, groups, panel, relight, store  # noqa: E402
 
 from .drawing import Context, draw, texts  # noqa: E402
-from .files import reopen  # noqa: E402
+from .files import baked_once, reopen  # noqa: E402
 from .test_saving import read  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("quick")
@@ -39,10 +39,9 @@ def grouped(room):
 
 
 @pytest.fixture(params=["TEXELS", "POINTS"])
-def baked(grouped, request):
+def baked(grouped, request, saved):
     grouped.lightpanes.exits = request.param
-    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
-    return grouped
+    return baked_once(grouped, saved.with_stem(request.param))
 
 
 def rgb(path):

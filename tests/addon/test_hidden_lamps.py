@@ -7,6 +7,7 @@ bpy = pytest.importorskip("bpy")
 
 from lightpanes.addon import relight, visibility  # noqa: E402
 
+from .files import baked_once  # noqa: E402
 from .test_animation import load, moving, shown  # noqa: E402, F401
 from .test_relight import add_camera  # noqa: E402
 
@@ -16,7 +17,7 @@ FRAMES = (1, 2, 3, 5)
 
 
 @pytest.fixture
-def baked(moving):  # noqa: F811
+def baked(moving, saved):  # noqa: F811
     """The lamp is in a collection, under a parent that moves it, too."""
     lamp = bpy.data.objects["Lamp"]
     collection = bpy.data.collections.new("Lamps")
@@ -37,8 +38,7 @@ def baked(moving):  # noqa: F811
     follow = parent.constraints.new("COPY_LOCATION")
     follow.target, follow.use_x, follow.use_y = target, False, False
     moving.frame_set(1)
-    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
-    return moving
+    return baked_once(moving, saved)
 
 
 def hide(how):

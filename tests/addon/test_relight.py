@@ -10,15 +10,14 @@ bpy = pytest.importorskip("bpy")
 from lightpanes.addon import relight, store  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
 
-from .files import reopen  # noqa: E402
+from .files import baked_once, reopen  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("quick")
 
 
 @pytest.fixture
-def baked(room):
-    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
-    return room
+def baked(room, saved):
+    return baked_once(room, saved)
 
 
 def image(scene=None):
@@ -179,7 +178,8 @@ def test_switching_live_on_catches_up(baked):
     assert image().max() == 0
 
 
-def test_a_lamp_that_is_not_live_stays(baked):
+def test_a_lamp_that_is_not_live_stays(room):
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
     before = image()
     lamp = bpy.data.lights["Lamp"]
     lamp.lightpanes.live = False
