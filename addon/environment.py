@@ -89,12 +89,15 @@ def digest(world: bpy.types.World | None) -> str:
     return result.hexdigest()
 
 
+def uses_nodes(world: bpy.types.World) -> bool:
+    """Whether nodes make the world's light, and not its one colour."""
+    # from 5.0 on nodes count whenever they exist, and asking is deprecated
+    return world.node_tree is not None and (bpy.app.version >= (5, 0) or world.use_nodes)
+
+
 def _output(world):
     """The node that Cycles shows a world by; None where it has no nodes, or none that counts."""
-    # from 5.0 on nodes count whenever they exist
-    if world.node_tree is None or (bpy.app.version < (5, 0) and not world.use_nodes):
-        return None
-    return world.node_tree.get_output_node("CYCLES")
+    return world.node_tree.get_output_node("CYCLES") if uses_nodes(world) else None
 
 
 def _has_volume(world) -> bool:
@@ -106,8 +109,7 @@ def plain(world: bpy.types.World) -> np.ndarray | None:
     """(3,) radiance of a world of one colour, None where it varies."""
     output = _output(world)
     if output is None:
-        uses_nodes = world.node_tree is not None and (bpy.app.version >= (5, 0) or world.use_nodes)
-        return np.zeros(3) if uses_nodes else np.array(world.color, np.float64)
+        return np.zeros(3) if uses_nodes(world) else np.array(world.color, np.float64)
     source = linked_node(output.inputs["Surface"])
     if source is None:
         return np.zeros(3)

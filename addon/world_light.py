@@ -32,7 +32,7 @@ def hide(world: bpy.types.World) -> None:
     """Let EEVEE show the world to the camera and light nothing with it."""
     if is_hidden(world):
         return
-    if _uses_nodes(world):
+    if environment.uses_nodes(world):
         meant = world.node_tree.get_output_node("EEVEE")
     else:
         meant = _make_plain(world)
@@ -81,11 +81,6 @@ def give_back(world: bpy.types.World | None) -> None:
     if NO_NODES in world:
         del world[NO_NODES]
         world.use_nodes = False
-
-
-def _uses_nodes(world) -> bool:
-    # from 5.0 on nodes count whenever they exist, and asking is deprecated
-    return world.node_tree is not None and (bpy.app.version >= (5, 0) or world.use_nodes)
 
 
 def _feeds(world) -> list[tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]]:
