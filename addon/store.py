@@ -320,9 +320,8 @@ def sweep() -> None:
 
 def _opaque_image(role: str, rgb: np.ndarray, made: list) -> bpy.types.Image:
     """Colours (H, W, 3) as an image that is not packed yet."""
-    opaque = np.ones((*rgb.shape[:2], 4), np.float32)
-    opaque[..., :3] = rgb
-    return _new_image(role, opaque, opaque.shape, made)
+    pixels = opaque(rgb)
+    return _new_image(role, pixels, pixels.shape, made)
 
 
 def _array_image(role: str, array: np.ndarray, made: list) -> bpy.types.Image:
