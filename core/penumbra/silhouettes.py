@@ -68,7 +68,7 @@ class Items:
         """Clusters (c,) of the pairs first … last, and the samples that their polygons surely block, and may block, two
         (c · CLUSTER, words) uint64.
 
-        place: (clusters, CLUSTER, 3) float64 in the lamp's frame. rows: (clusters, CLUSTER) of the receivers.
+        place: (clusters, 3, CLUSTER) float64 in the lamp's frame. rows: (clusters, CLUSTER) of the receivers.
         """
         cluster, count = self.cluster[first:last], self.count[first:last]
         begin = np.flatnonzero(np.append(True, cluster[1:] != cluster[:-1]))
@@ -77,7 +77,7 @@ class Items:
         starts = self.first[first:last] - self.first[first]
         ends = np.append(starts[begin], self.first[last] - self.first[first])
         lines = slice(int(self.first[first]), int(self.first[last]))
-        ga, gb, g0 = self._values(lines, ends, place[which] - self.middle[which][:, None])
+        ga, gb, g0 = self._values(lines, ends, place[which] - self.middle[which][:, :, None])
         # lines that miss the lamp have it on one side as a whole
         size = np.abs(ga)
         size += np.abs(gb)
@@ -115,7 +115,7 @@ class Items:
         coefficient = np.ascontiguousarray(self.coefficient[lines].transpose(1, 0, 2))
         value = np.empty((*coefficient.shape[:2], CLUSTER), np.float32)
         around = np.ones((len(local), 4, CLUSTER), np.float32)
-        around[:, 1:] = local.transpose(0, 2, 1)
+        around[:, 1:] = local
         for a, b, places in zip(ends[:-1], ends[1:], around, strict=True):
             # small enough for BLAS to stay on this thread
             np.matmul(coefficient[:, a:b], places, out=value[:, a:b])
@@ -175,9 +175,9 @@ def _combine(index, receiver, count, table, sure, maybe):
 def line_items(view: LampView, place: np.ndarray, cluster: np.ndarray, polygon: np.ndarray, table: LineTable) -> Items:
     """Lines of candidate pairs (cluster, polygon), two (n,) sorted by cluster.
 
-    place: (c, CLUSTER, 3) float64 receivers in the lamp's frame.
+    place: (c, 3, CLUSTER) float64 receivers in the lamp's frame.
     """
-    low, high = place.min(axis=1), place.max(axis=1)
+    low, high = place.min(axis=2), place.max(axis=2)
     # representable, so that differences from it lose nothing
     middle = ((low + high) / 2).astype(np.float32).astype(np.float64)
     half = np.maximum(high - middle, middle - low)
