@@ -18,7 +18,6 @@ from .masks import full_mask
 from .occluders import LampView
 from .receivers import CLUSTER, Receivers
 
-
 PAIRS = 4096
 """Pairs of a receiver and a polygon whose masks are made at once: a quarter of a megabyte at 256 samples."""
 
