@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 
 import numpy as np
 
@@ -56,8 +57,8 @@ def cast(
         return cast_rays(receivers, lamp, occluders.occluded, threads)
     began = time.thread_time()
     groups = clusters(receivers, lamp)
-    work = _Work(receivers, lamp, occluders, groups, cost)
-    if not work.pilot(threads):
+    work = _Work(receivers, lamp, occluders, groups, cost, threads)
+    if not work.pilot():
         return cast_rays(receivers, lamp, occluders.occluded, threads)
     work.prepare()
     work.note("prepare", time.thread_time() - began)
@@ -73,22 +74,20 @@ def cast(
             mixed += len(own)
             words.append(own)
 
-    size = min(max(len(groups) // (8 * threads), LEAST_BATCH), BATCH)
-    parts = chunks(len(groups), size)
-    keep(parts, in_threads(work.decide, parts, threads))
-    # last, since rays alone keep all threads busy
-    crowded = np.flatnonzero(work.state == BY_RAYS)
-    parts = [crowded[part] for part in chunks(len(crowded), max(1, 4 * RAYS // (CLUSTER * lamp.count)))]
-    keep(parts, in_threads(work.trace, parts, threads))
+    parts = chunks(len(groups), min(max(len(groups) // (8 * threads), LEAST_BATCH), BATCH))
+    keep(parts, in_threads(work.step, parts, threads))
+    in_threads(lambda _: work.trace_some(), range(len(work.left)), threads)
+    if work.traced:
+        keep(*zip(*sorted(work.traced, key=lambda found: found[0][0]), strict=True))
     return Masks(index, np.concatenate(words), lamp.count, work.statistics())
 
 
 class _Work:
     """What all batches share."""
 
-    def __init__(self, receivers: Receivers, lamp: LampSamples, occluders: Occluders, groups, cost: Cost):
+    def __init__(self, receivers: Receivers, lamp: LampSamples, occluders: Occluders, groups, cost: Cost, threads: int):
         self.receivers, self.lamp, self.occluders = receivers, lamp, occluders
-        self.groups, self.cost = groups, cost
+        self.groups, self.cost, self.threads = groups, cost, threads
         self.targets = lamp.targets()
         self.origin = np.zeros(3) if lamp.distant else lamp.centre
         self.words = words_of(lamp.count)
@@ -96,9 +95,13 @@ class _Work:
         self.state = np.full(len(groups), LIT, np.int32)
         self.rays = self.pairs = 0
         self.seconds: dict[str, float] = {}
+        # clusters left to rays, some at a time, and what became of them
+        self.left: deque[np.ndarray] = deque()
+        self.traced: list[tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]] = []
+        self._numpy = threading.Semaphore((threads + 1) // 2)
         self._lock = threading.Lock()
 
-    def pilot(self, threads: int) -> bool:
+    def pilot(self) -> bool:
         """Whether there is anything to win, by what rays take here and by the blocks that a few clusters meet."""
         some = self.groups[:: max(1, len(self.groups) // PILOTS)]
         if not len(some):
@@ -110,7 +113,7 @@ class _Work:
         tree = self.occluders.blocks_before(self.lamp)
         met = candidates(self._boxes(self._place(some)), tree, self.lamp, np.inf)[0]
         blocks = np.bincount(met, minlength=len(some)) * BLOCK
-        return self.cost.worth_preparing(blocks, len(self.groups), len(self.occluders.polygons), threads)
+        return self.cost.worth_preparing(blocks, len(self.groups), len(self.occluders.polygons), self.threads)
 
     def prepare(self) -> None:
         """All that `decide` needs."""
@@ -140,6 +143,31 @@ class _Work:
 
     def _boxes(self, place):
         return Boxes(place.min(axis=2).astype(np.float32), place.max(axis=2).astype(np.float32))
+
+    def step(self, part: slice) -> tuple[np.ndarray, np.ndarray]:
+        """`decide`, and before it rays, if there are any, for as long as half of the threads do numpy's work: more of
+        them wait for each other's Python, and rays don't."""
+        turn = self._numpy.acquire(blocking=False)
+        while not turn and self.trace_some():
+            turn = self._numpy.acquire(blocking=False)
+        try:
+            result = self.decide(part)
+        finally:
+            if turn:
+                self._numpy.release()
+        crowded = part.start + np.flatnonzero(self.state[part] == BY_RAYS)
+        step = max(1, 4 * RAYS // (CLUSTER * self.lamp.count))
+        self.left.extend(crowded[some] for some in chunks(len(crowded), step))
+        return result
+
+    def trace_some(self) -> bool:
+        """Trace some of the clusters that are left to rays; whether there were any."""
+        try:
+            which = self.left.popleft()
+        except IndexError:
+            return False
+        self.traced.append((which, self.trace(which)))
+        return True
 
     def decide(self, part: slice) -> tuple[np.ndarray, np.ndarray]:
         """(n,) int32 index of the receivers of these clusters, and words of the mixed ones, counted from 0.
