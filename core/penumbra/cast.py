@@ -28,6 +28,7 @@ from .silhouettes import Items, line_items
 
 BATCH = 128
 LEAST_BATCH = 64
+FIRST_BATCH = 32
 """Clusters decided together: enough that numpy's calls cost little, and few enough for all threads to have some."""
 
 ITEMS = 2048
@@ -74,12 +75,20 @@ def cast(
             mixed += len(own)
             words.append(own)
 
-    parts = chunks(len(groups), min(max(len(groups) // (8 * threads), LEAST_BATCH), BATCH))
+    parts = _batches(len(groups), threads)
     keep(parts, in_threads(work.step, parts, threads))
     in_threads(lambda _: work.trace_some(), range(len(work.left)), threads)
     if work.traced:
         keep(*zip(*sorted(work.traced, key=lambda found: found[0][0]), strict=True))
     return Masks(index, np.concatenate(words), lamp.count, work.statistics())
+
+
+def _batches(count: int, threads: int) -> list[slice]:
+    """Slices of range(count): some small ones, from which the cost of lines is learnt, before the others."""
+    first = min(2 * threads * FIRST_BATCH, count)
+    size = min(max((count - first) // (8 * threads), LEAST_BATCH), BATCH)
+    rest = [slice(part.start + first, part.stop + first) for part in chunks(count - first, size)]
+    return chunks(first, FIRST_BATCH) + rest
 
 
 class _Work:
@@ -107,9 +116,12 @@ class _Work:
         if not len(some):
             return True
         rows = some[:: max(1, len(some) * self.lamp.count // RAYS), 0]
-        began = time.thread_time()
-        trace_all(self.receivers, rows, self.lamp, self.targets, self.occluders.occluded)
-        self.cost.learn_rays(len(rows) * self.lamp.count, time.thread_time() - began)
+        # twice: the second time the rays' hierarchy is at hand, as for most receivers of a cluster
+        for _ in range(2):
+            began = time.thread_time()
+            trace_all(self.receivers, rows, self.lamp, self.targets, self.occluders.occluded)
+            spent = time.thread_time() - began
+        self.cost.learn_rays(len(rows) * self.lamp.count, spent)
         tree = self.occluders.blocks_before(self.lamp)
         met = candidates(self._boxes(self._place(some)), tree, self.lamp, np.inf)[0]
         blocks = np.bincount(met, minlength=len(some)) * BLOCK
@@ -234,7 +246,9 @@ class _Work:
             trace_all(self.receivers, traced[part], self.lamp, self.targets, self.occluders.occluded)
             for part in chunks(len(traced), step)
         ]
-        self.note("rays", time.thread_time() - began)
+        spent = time.thread_time() - began
+        self.note("rays", spent)
+        self.cost.learn_rays(len(traced) * self.lamp.count, spent)
         with self._lock:
             self.rays += len(traced) * self.lamp.count
         return settle(np.concatenate(parts), self.lamp.count)

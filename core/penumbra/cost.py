@@ -31,6 +31,12 @@ LOOSE = 4.0
 WAITING = 1.3
 """Times that numpy's work takes longer on several threads, which wait for each other's Python; rays don't."""
 
+CALLS = 5e-4
+"""Seconds that numpy's calls themselves take for some clusters' candidates or lines, however few."""
+
+SHAFT = 4e-5
+"""Seconds to find a cluster's candidates, few or many."""
+
 POLYGON = 3e-7
 """Seconds to prepare a polygon for a lamp, on one thread while the others wait."""
 
@@ -41,10 +47,10 @@ class Cost:
     def __init__(self, samples: int, always: str = ""):
         self.samples, self.always = samples, always
         # (seconds or lines, how many), begun with a guess that soon weighs little
-        self._rays = np.array([RAY * 2e3, 2e3])
-        self._candidates = np.array([CANDIDATE * 1e3, 1e3])
-        self._kept = np.array([KEPT * 1e3, 1e3])
-        self._lines = np.array([(LINE + LINE_BIT * samples) * 1e3, 1e3])
+        self._rays = np.array([RAY * 200, 200])
+        self._candidates = np.array([CANDIDATE * 200, 200])
+        self._kept = np.array([KEPT * 200, 200])
+        self._lines = np.array([(LINE + LINE_BIT * samples) * 200, 200])
         self._lock = threading.Lock()
 
     def worth(self, receivers: int) -> bool:
@@ -62,7 +68,7 @@ class Cost:
             return True
         rays, candidate, _ = self._seconds()
         saved = np.maximum(rays - blocks * (candidate / LOOSE), 0).mean() * clusters
-        return bool(saved > threads * POLYGON * polygons)
+        return bool(saved > threads * POLYGON * polygons + clusters * SHAFT)
 
     def most_candidates(self) -> float:
         """Polygons that boxes leave to a cluster at which it is left to rays."""
@@ -96,10 +102,10 @@ class Cost:
     def learn_candidates(self, candidates: int, lines: int, seconds: float) -> None:
         """Of candidates, and the lines that were left of them."""
         with self._lock:
-            self._candidates += seconds, candidates
+            self._candidates += max(seconds - CALLS, 0), candidates
             self._kept += lines, candidates
 
     def learn_lines(self, lines: int, seconds: float) -> None:
         """Of lines, with the rays that they left open."""
         with self._lock:
-            self._lines += seconds, lines
+            self._lines += max(seconds - CALLS, 0), lines
