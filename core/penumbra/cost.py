@@ -9,8 +9,10 @@ import numpy as np
 from .receivers import CLUSTER
 
 LEAST_RELATIONS = 1 << 20
+MANY_SAMPLES = 256
 LEAST_SAMPLES = 64
-"""Below these, preparing the lamp costs more than it saves."""
+"""Below these, preparing the lamp costs more than it saves. With fewer samples than many it takes more relations, in
+proportion: a line stands for fewer rays."""
 
 RAY = 1.2e-7
 """Seconds of a shadow ray on one thread, before any was measured."""
@@ -57,7 +59,8 @@ class Cost:
         """Whether there is enough to do for anything but rays."""
         if self.always:
             return self.always == "lines"
-        return receivers * self.samples >= LEAST_RELATIONS and self.samples >= LEAST_SAMPLES
+        relations = receivers * self.samples * min(1, self.samples / MANY_SAMPLES)
+        return relations >= LEAST_RELATIONS and self.samples >= LEAST_SAMPLES
 
     def worth_preparing(self, blocks: np.ndarray, clusters: int, polygons: int, threads: int) -> bool:
         """Whether to look at a lamp's occluders at all.
