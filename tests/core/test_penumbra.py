@@ -324,6 +324,9 @@ class _Torn(Cost):
     def most_candidates(self):
         return 20.0
 
+    def worth(self, receivers):
+        return True
+
     def worth_preparing(self, *_):
         return True
 
@@ -343,7 +346,8 @@ def test_some_clusters_by_lines_and_some_by_rays(threads):
 def test_cost_weighs_what_it_learns():
     cost = Cost(256)
     cost.learn_rays(10**6, 0.1)
-    assert not cost.worth(1000) and cost.worth(100_000) and not Cost(16).worth(100_000)
+    assert not cost.worth(1000) and cost.worth(10_000)
+    assert not Cost(64).worth(10_000) and Cost(64).worth(100_000) and not Cost(16).worth(100_000)
     none, all_ = np.zeros(16), np.full(16, 1e6)
     assert cost.worth_preparing(none, 1000, 10_000, 2) and not cost.worth_preparing(all_, 1000, 10_000, 2)
     # too many polygons for so few receivers, though lines would win
