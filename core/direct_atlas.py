@@ -11,13 +11,20 @@ from .panes.exits import STEPS, joined
 from .penumbra import DirectLight, Receivers
 from .rays import Tracer
 from .scene import Light, Scene
-from .surface import Texels, make_texels
+from .surface import SurfaceSamples, Texels, make_texels, texel_places
 
 COARSE_SAMPLES = 16
 """Samples of a lamp in a coarse image, at most: what its four sets make of them is smooth enough for a moment."""
 
 COARSE_TEXELS = 16_384
 """Texels of a coarse image, about: as many as can be cast some ten times a second."""
+
+PLACES = 2
+"""Places along each side of a texel whose mean it shows: shadows of bars and bumps narrower than a texel come out as even
+grey, and not as a pattern of their own, as they do from the texels' middles."""
+
+MOST_PLACES = 1 << 22
+"""Receivers in memory, some hundred bytes each; texels of finer atlases are lit at their middles."""
 
 MOST_HALVINGS = 4
 """A texel of a coarse image stands for a square of at most 16 × 16."""
@@ -26,7 +33,7 @@ MOST_HALVINGS = 4
 class DirectAtlas:
     """Direct irradiance of lamps at the texels of a scene. Only lamps that changed are cast again.
 
-    own: (resolution²,) bool, texels that may show light of their own, not those inside things, or None for all.
+    A texel shows the mean over some places within it. own: (resolution²,) bool, texels that may show light of their own, not those inside things, or None for all.
     tracer: of the scene. samples: of a lamp for which none are named. Raises SceneError where nothing has a place in the
     atlas.
     """
@@ -46,27 +53,30 @@ class DirectAtlas:
         self.resolution = resolution
         fill = texels.fill()
         self._fill = np.where(fill < 0, len(texels), fill)
-        self._full = DirectLight(_receivers(texels, tracer, 1), tracer, samples, seed)
+        self.texels = len(texels)
+        """How many are lit."""
+        side = PLACES if PLACES**2 * len(texels) <= MOST_PLACES else 1
+        places, owner, place = texel_places(scene, texels, side)
+        group = place if side > 1 else _groups(texels, 1)
+        self._full = DirectLight(_receivers(places, group, tracer), tracer, samples, seed, shared=side * side)
+        self._count = np.bincount(owner, minlength=len(texels)).astype(np.float32)
+        self._first = np.searchsorted(owner, np.arange(len(texels)))
         leader, step = _coarse_leaders(texels)
         some, leader = np.unique(leader, return_inverse=True)
         # past the last row is black
         self._leader = np.append(leader, len(some))[self._fill]
         # on the grid that is left neighbours take their sets in turns again
-        part = _receivers(texels.keep(some), tracer, step)
+        part = texels.keep(some)
+        part = _receivers(part.samples, _groups(part, step), tracer)
         # one thread leaves the others to whatever else follows the lamp
         self._few = DirectLight(part, tracer.alone(), samples, seed, threads=1)
-
-    @property
-    def texels(self) -> int:
-        """How many are lit."""
-        return len(self._full.receivers)
 
     def image(self, lights: Sequence[Light], samples: Mapping[str, int] | None = None) -> np.ndarray:
         """(resolution, resolution, 4) float32 direct irradiance, W/m², alpha 1; black where there is no surface.
 
         samples: of some lamps, by name.
         """
-        return self._image(self._full.irradiance(lights, samples), self._fill)
+        return self._image(self._means(self._full.irradiance(lights, samples)), self._fill)
 
     def coarse(self, lights: Sequence[Light], samples: Mapping[str, int] | None = None) -> np.ndarray:
         """The same, where lamps that changed since the last `image` count by a part of the texels and few samples."""
@@ -76,8 +86,14 @@ class DirectAtlas:
         image = self._image(self._few.irradiance(moved, few), self._leader)
         still = [known for known in held if known is not None]
         if still:
-            image[..., :3] += self._image(sum(still), self._fill)[..., :3]
+            image[..., :3] += self._image(self._means(sum(still)), self._fill)[..., :3]
         return image
+
+    def _means(self, light):
+        """(t, 3) float32 of texels, of (n, 3) of their places."""
+        if len(light) == self.texels:
+            return light
+        return np.add.reduceat(light, self._first, axis=0) / self._count[:, None]
 
     def _image(self, light, rows):
         """light: (n, 3). rows: (resolution²,) of it that each texel shows; the one past its end is black."""
@@ -88,12 +104,14 @@ class DirectAtlas:
         return shown.view(np.float32).reshape(self.resolution, self.resolution, 4)
 
 
-def _receivers(texels: Texels, tracer: Tracer, step: int) -> Receivers:
-    """The texels as receivers; each 2 × 2 of those that are `step` apart look at four sets of samples."""
-    samples = texels.samples
-    row, column = texels.index // (texels.resolution * step), texels.index % texels.resolution // step
-    group = (2 * (row & 1) + (column & 1)).astype(np.uint8)
+def _receivers(samples: SurfaceSamples, group: np.ndarray, tracer: Tracer) -> Receivers:
     return Receivers(samples.position + samples.flat * np.float32(tracer.offset), samples.normal, group)
+
+
+def _groups(texels: Texels, step: int) -> np.ndarray:
+    """(t,) uint8: each 2 × 2 of the texels that are `step` apart look at four sets of samples."""
+    row, column = texels.index // (texels.resolution * step), texels.index % texels.resolution // step
+    return (2 * (row & 1) + (column & 1)).astype(np.uint8)
 
 
 def _coarse_leaders(texels: Texels) -> tuple[np.ndarray, int]:

@@ -47,11 +47,11 @@ def trace_open(receivers: Receivers, rows, lamp: LampSamples, targets, occluded:
     in place; both must be contiguous. Returns how many rays that took."""
     if not words.flags.c_contiguous:
         raise ValueError("The masks must be contiguous, or a copy of them would be changed.")
-    cells = np.flatnonzero(open_words)
+    cells = np.flatnonzero(open_words != 0)
     if not len(cells):
         return 0
     bits = np.unpackbits(open_words.ravel()[cells].view(np.uint8), bitorder="little")
-    places = np.flatnonzero(bits)
+    places = np.flatnonzero(bits.view(bool))
     cell = cells[places >> 6]
     row, sample = cell // words.shape[1], (cell % words.shape[1]) * 64 + (places & 63)
     own = rows[row]

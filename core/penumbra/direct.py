@@ -44,13 +44,20 @@ class DirectLight:
     """Evaluates lamps at receivers; a lamp that did not change costs nothing.
 
     receivers: with normals, lifted by tracer.offset. samples: of a lamp for which none are named. threads: None for all.
+    shared: receivers whose mean is wanted; the rays of a lamp that rays serve best are shared among them.
     """
 
     def __init__(
-        self, receivers: Receivers, tracer: Tracer, samples: int = 64, seed: int = 0, threads: int | None = None
+        self,
+        receivers: Receivers,
+        tracer: Tracer,
+        samples: int = 64,
+        seed: int = 0,
+        threads: int | None = None,
+        shared: int = 1,
     ):
         self.receivers, self.tracer = receivers, tracer
-        self.samples, self.seed, self.threads = samples, seed, threads
+        self.samples, self.seed, self.threads, self.shared = samples, seed, threads, shared
         self._occluders: Occluders | None = None
         self._glass: Occluders | None = None
         self._unit: dict[tuple, np.ndarray] = {}
@@ -67,7 +74,7 @@ class DirectLight:
         receivers = self.receivers
         samples = samples or self.samples
         if not is_soft(light):
-            samples = samples if light.radius > 0 else 1
+            samples = -(-samples // self.shared) if light.radius > 0 else 1
             return irradiance(light, receivers.position, receivers.normal, self.tracer.visibility, samples, self.seed)
         sets = 1 if receivers.group is None else int(receivers.group.max(initial=0)) + 1
         extent = float(np.ptp(receivers.position, axis=0).max()) if len(receivers) else 0.0

@@ -12,10 +12,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..rays import chunks
 from .lines import ROUNDING, LineTable
 from .masks import full_mask
 from .occluders import LampView
 from .receivers import CLUSTER, Receivers
+
+PAIRS = 4096
+"""Pairs of a receiver and a polygon whose masks are made at once: a quarter of a megabyte at 256 samples."""
 
 
 @dataclass
@@ -63,14 +67,16 @@ class Items:
         """Clusters (c,) of the pairs first … last, and the samples that their polygons surely block, and may block, two
         (c · CLUSTER, words) uint64.
 
-        place: (clusters, CLUSTER, 3) float64 in the lamp's frame. rows: (clusters, CLUSTER) of the receivers.
+        place: (clusters, 3, CLUSTER) float64 in the lamp's frame. rows: (clusters, CLUSTER) of the receivers.
         """
         cluster, count = self.cluster[first:last], self.count[first:last]
         begin = np.flatnonzero(np.append(True, cluster[1:] != cluster[:-1]))
         which = cluster[begin]
-        pairs = np.append(begin, len(cluster))
-        lines = self.first[first + pairs]
-        ga, gb, g0 = self._values(lines, place[which] - self.middle[which][:, None])
+        # lines of each pair, and of each cluster, counted from the first of this step
+        starts = self.first[first:last] - self.first[first]
+        ends = np.append(starts[begin], self.first[last] - self.first[first])
+        lines = slice(int(self.first[first]), int(self.first[last]))
+        ga, gb, g0 = self._values(lines, ends, place[which] - self.middle[which][:, :, None])
         # lines that miss the lamp have it on one side as a whole
         size = np.abs(ga)
         size += np.abs(gb)
@@ -79,90 +85,101 @@ class Items:
         inside = g0 > edge
         edge += g0
         outside = edge < 0
-        crossing, need, dark = _undecided(inside, outside, pairs, lines - lines[0], count)
-        place_of = np.flatnonzero(crossing)
+        crossing, need, dark = _undecided(inside, outside, starts, begin, count)
+        at = np.flatnonzero(crossing)
+        size = size.ravel().take(at)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            index = table.index(ga[place_of], gb[place_of], g0[place_of])
+            index = table.index(*(value.ravel().take(at) for value in (ga, gb, g0)))
         # too close to a receiver for float32; planes through the cluster are made so that they end here too
-        index[size[place_of] < np.float32(2 * ROUNDING / table.guard)] = table.unknown
+        index[size < np.float32(2 * ROUNDING / table.guard)] = table.unknown
+        # receivers one after another, and for each its pairs in their order
+        block = np.repeat(np.arange(len(which), dtype=np.uint16), np.diff(ends))
+        receiver = _receiver(block, at)
         if table.sets > 1:
-            index += self._sets(place_of, lines - lines[0], receivers, rows[which], table, index == table.unknown)
+            sets = receivers.sets(rows[which].ravel())[receiver]
+            index += np.where(index == table.unknown, 0, sets * table.rows_per_set)
+        index = index.take(np.argsort(receiver, kind="stable"))
+        pair = np.flatnonzero(need)
+        block = np.repeat(np.arange(len(which), dtype=np.uint16), np.diff(np.append(begin, len(cluster))))
+        receiver = _receiver(block, pair)
+        order = np.argsort(receiver, kind="stable")
         sure = np.zeros((len(which) * CLUSTER, table.words), np.uint64)
         maybe = np.zeros_like(sure)
-        self._combine(index, need, table, sure, maybe)
+        _combine(index, receiver.take(order), need.ravel().take(pair).take(order), table, sure, maybe)
         sure[dark] = maybe[dark] = full_mask(table.samples)
         return which, sure, maybe
 
-    def _values(self, lines, local):
-        """ga, gb and g0, three (e,) float32: for each cluster a block of CLUSTER rows, a value for each of its lines."""
-        coefficient = self.coefficient[lines[0] : lines[-1]]
-        value = np.empty((3, CLUSTER * len(coefficient)), np.float32)
-        around = np.ones((len(local), CLUSTER, 4), np.float32)
-        around[:, :, 1:] = local
-        lines = lines - lines[0]
-        for k in range(3):
-            part = np.ascontiguousarray(coefficient[:, k].T)
-            for a, b, place in zip(lines[:-1], lines[1:], around, strict=True):
-                # small enough for BLAS to stay on this thread
-                np.matmul(place, part[:, a:b], out=value[k, CLUSTER * a : CLUSTER * b].reshape(CLUSTER, b - a))
+    def _values(self, lines, ends, local):
+        """ga, gb and g0, (3, e, CLUSTER) float32, of these lines, each for the receivers of its cluster."""
+        coefficient = np.ascontiguousarray(self.coefficient[lines].transpose(1, 0, 2))
+        value = np.empty((*coefficient.shape[:2], CLUSTER), np.float32)
+        around = np.ones((len(local), 4, CLUSTER), np.float32)
+        around[:, 1:] = local
+        for a, b, places in zip(ends[:-1], ends[1:], around, strict=True):
+            # small enough for BLAS to stay on this thread
+            np.matmul(coefficient[:, a:b], places, out=value[:, a:b])
         return value
 
-    def _sets(self, place_of, lines, receivers, rows, table, unknown):
-        """(n,) rows by which the tables of other sets lie further on, for values at `place_of` of the blocks."""
-        block = np.repeat(np.arange(len(rows)), np.diff(np.searchsorted(place_of, CLUSTER * lines)))
-        receiver = (place_of - CLUSTER * lines[block]) // np.diff(lines)[block]
-        sets = receivers.sets(rows.ravel()).reshape(rows.shape)
-        return np.where(unknown, 0, sets[block, receiver] * table.rows_per_set)
 
-    def _combine(self, index, need, table, sure, maybe):
-        """Polygons hide what all their edges have inside, receivers lose what any polygon hides."""
-        receiver, count = need
-        if not len(receiver):
-            return
-        begin = np.cumsum(count) - count
-        mask = np.empty((len(count), 2 * table.words), np.uint64)
-        for size in range(1, int(count.max()) + 1):
-            own = np.flatnonzero(count == size)
-            for part in range(0, len(own), 4096):
-                some = own[part : part + 4096]
-                at = begin[some]
-                hidden = table.rows.take(index[at], axis=0)
-                for k in range(1, size):
-                    hidden &= table.rows.take(index[at + k], axis=0)
-                mask[some] = hidden
-        starts = np.flatnonzero(np.append(True, receiver[1:] != receiver[:-1]))
-        total = np.bitwise_or.reduceat(mask, starts, axis=0)
-        sure[receiver[starts]], maybe[receiver[starts]] = total[:, : table.words], total[:, table.words :]
+def _receiver(block, at):
+    """(n,) uint16 receivers, counted over all clusters, of places (n,) in rows of CLUSTER; block: cluster of each row."""
+    return block.take(at // CLUSTER) * np.uint16(CLUSTER) + (at % CLUSTER).astype(np.uint16)
 
 
-def _undecided(inside, outside, pairs, lines, count):
-    """What is left to the table: crossing (e,) bool, lines that cut the lamp and matter; ((n,) receiver, (n,) lines) of
-    each pair and receiver with such lines, in their order; (c · CLUSTER,) bool receivers that see nothing at all."""
-    crossing = np.empty(len(inside), bool)
-    receiver, left = [], []
-    dark = np.zeros((len(pairs) - 1, CLUSTER), bool)
-    for block, (a, b, p, q) in enumerate(zip(lines[:-1], lines[1:], pairs[:-1], pairs[1:], strict=True)):
-        part = slice(CLUSTER * a, CLUSTER * b)
-        starts = np.cumsum(count[p:q]) - count[p:q]
-        # in one sum: lines that cut the lamp, and by 256s those that have it outside
-        state = (~inside[part]).reshape(CLUSTER, b - a).astype(np.uint16)
-        state += outside[part].reshape(CLUSTER, b - a) * np.uint16(255)
-        need = np.add.reduceat(state, starts, axis=1)
-        dark[block] = (need == 0).any(axis=1)
-        alive = (need < 256) & ~dark[block][:, None]
-        crossing[part] = ((state == 1) & np.repeat(alive, count[p:q], axis=1)).ravel()
-        some = np.flatnonzero(alive)
-        receiver.append(some // (q - p) + block * CLUSTER)
-        left.append(need.ravel()[some])
-    return crossing, (np.concatenate(receiver), np.concatenate(left).astype(np.intp)), dark.ravel()
+def _undecided(inside, outside, starts, begin, count):
+    """What is left to the table: crossing (e, CLUSTER) bool, lines that cut the lamp and matter; (p, CLUSTER) uint8, how
+    many of them each pair has; (c · CLUSTER,) bool receivers that see nothing at all.
+
+    inside, outside: (e, CLUSTER) bool. starts: (p,) first line of each pair, begin: (c,) first pair of each cluster.
+    """
+    # eight receivers in a word
+    word = np.uint64
+    crossing = inside
+    crossing |= outside
+    np.logical_not(crossing, out=crossing)
+    need = np.add.reduceat(crossing.view(word), starts, axis=0)
+    none = np.bitwise_or.reduceat(outside.view(word), starts, axis=0).view(bool)
+    dark = np.bitwise_or.reduceat((~none & (need.view(np.uint8) == 0)).view(word), begin, axis=0)
+    gone = none.view(word) | np.repeat(dark, np.diff(np.append(begin, len(starts))), axis=0)
+    alive = ~gone.view(bool)
+    need = need.view(np.uint8) * alive
+    crossing &= np.repeat(alive.view(word), count, axis=0).view(bool)
+    return crossing, need, dark.view(bool).ravel()
+
+
+def _combine(index, receiver, count, table, sure, maybe):
+    """Polygons hide what all their edges have inside, receivers lose what any polygon hides.
+
+    index: (n,) rows of the table, as many of them for each pair as `count` (m,) says. receiver: (m,) of each pair, sorted.
+
+    The order of polygons is any: were those that hide most the first, as in the paper, receivers that see nothing could
+    end early, but at most a twelfth of all rows is looked up for them (among boxes; a hundredth elsewhere).
+    """
+    if not len(receiver):
+        return
+    begin = np.cumsum(count, dtype=np.intp) - count
+    mask = np.empty((len(count), 2 * table.words), np.uint64)
+    for size in np.flatnonzero(np.bincount(count)):
+        own = np.flatnonzero(count == size)
+        for part in chunks(len(own), PAIRS):
+            some = own[part]
+            at = begin[some]
+            hidden = table.rows.take(index[at], axis=0)
+            for k in range(1, size):
+                hidden &= table.rows.take(index[at + k], axis=0)
+            mask[some] = hidden
+    starts = np.flatnonzero(np.append(True, receiver[1:] != receiver[:-1]))
+    total = np.bitwise_or.reduceat(mask, starts, axis=0)
+    seen = receiver[starts]
+    sure[seen], maybe[seen] = total[:, : table.words], total[:, table.words :]
 
 
 def line_items(view: LampView, place: np.ndarray, cluster: np.ndarray, polygon: np.ndarray, table: LineTable) -> Items:
     """Lines of candidate pairs (cluster, polygon), two (n,) sorted by cluster.
 
-    place: (c, CLUSTER, 3) float64 receivers in the lamp's frame.
+    place: (c, 3, CLUSTER) float64 receivers in the lamp's frame.
     """
-    low, high = place.min(axis=1), place.max(axis=1)
+    low, high = place.min(axis=2), place.max(axis=2)
     # representable, so that differences from it lose nothing
     middle = ((low + high) / 2).astype(np.float32).astype(np.float64)
     half = np.maximum(high - middle, middle - low)

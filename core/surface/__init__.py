@@ -1,5 +1,6 @@
 """Where light is known: points on surfaces, the atlas' texels, and patches that pass light on."""
 
+from .footprints import texel_places
 from .patches import Patches, make_patches
 from .samples import SurfaceSamples, inside_triangle, no_samples, sample_triangles, surface_colour, unit
 from .texels import Texels, make_texels
@@ -17,5 +18,6 @@ __all__ = [
     "no_samples",
     "sample_triangles",
     "surface_colour",
+    "texel_places",
     "unit",
 ]

@@ -318,6 +318,50 @@ def test_threads_and_cost_change_nothing():
     assert results[0].statistics.rays < results[3].statistics.rays
 
 
+class _Torn(Cost):
+    """Lines where a cluster has few candidates, rays elsewhere, whatever either takes."""
+
+    def most_candidates(self):
+        return 20.0
+
+    def worth(self, receivers):
+        return True
+
+    def worth_preparing(self, *_):
+        return True
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_some_clusters_by_lines_and_some_by_rays(threads):
+    scene = clutter(9, 60)
+    tracer = Tracer(scene)
+    receivers, lamp = scattered(scene, 20000), sample_lamp(LAMPS["square"], 64)
+    masks = cast(receivers, lamp, Occluders.of(tracer), threads, _Torn(64))
+    assert differing(masks, cast_rays(receivers, lamp, tracer.blocked)) == 0
+    statistics = masks.statistics
+    assert 0.1 < statistics.by_rays < 0.9
+    assert min(statistics.geometry, statistics.rays) > 0.05 * statistics.relations
+
+
+def test_cost_weighs_what_it_learns():
+    cost = Cost(256)
+    cost.learn_rays(10**6, 0.1)
+    assert not cost.worth(1000) and cost.worth(10_000)
+    assert not Cost(64).worth(10_000) and Cost(64).worth(100_000) and not Cost(16).worth(100_000)
+    none, all_ = np.zeros(16), np.full(16, 1e6)
+    assert cost.worth_preparing(none, 1000, 10_000, 2) and not cost.worth_preparing(all_, 1000, 10_000, 2)
+    # too many polygons for so few receivers, though lines would win
+    assert not cost.worth_preparing(none, 60, 10**6, 2) and cost.worth_preparing(none, 6000, 10**6, 2)
+    before = cost.most_candidates()
+    cost.learn_lines(10**5, 1.0)
+    assert cost.most_candidates() < before
+    assert cost.prefers_rays(np.array([1, 10**5])).tolist() == [False, True]
+    before = cost.most_candidates()
+    cost.learn_rays(10**6, 1.0)
+    assert cost.most_candidates() > before
+    assert Cost(64, "lines").worth_preparing(all_, 1, 10**6, 2) and not Cost(64, "rays").worth(10**6)
+
+
 def test_lamps_that_have_no_samples():
     for light, words in (
         (lamp_of("AREA", size=(0, 1)), "no size"),
