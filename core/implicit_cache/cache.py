@@ -13,8 +13,8 @@ import numpy as np
 
 from ..rays import chunks
 from ..threads import in_threads
-from .keys import CORNERS, LEVEL_STEP, lattice_keys, surface_keys
-from .lattice import Runs, corners, read_corners, sum_by_corner
+from .keys import CORNERS, lattice_keys, surface_keys
+from .lattice import Layer, corners
 from .levels import levels_of
 from .table import MOST, Table
 
@@ -25,17 +25,20 @@ HANDED_DOWN = 4.0
 """A new entry begins with the mean of the next coarser one, worth at most so many samples."""
 
 
+TINY = np.float32(1e-12)
+
+
 class Places(NamedTuple):
     """Where in a cache some samples belong. It stays usable while the samples stay where they are.
 
     count: of samples. slot: (m,) int32 entries that they use; tag: (m,) uint32, whose they are. pieces: for each piece
-    of the samples and each layer its runs and (8, R) which of the m entries. share: (m,) float32, sums of weights.
+    of the samples a layer for the fine lattice and one for the coarse. share: (m,) float32 sums of weights.
     """
 
     count: int
     slot: np.ndarray
     tag: np.ndarray
-    pieces: list[list[tuple[Runs, np.ndarray]]]
+    pieces: list[list[Layer]]
     share: np.ndarray
 
 
@@ -110,7 +113,7 @@ class Cache:
         """
         places = self.look_up(position, normal, object_id, footprint)
         self.add(places, value)
-        return self.read(places, np.asarray(value, np.float32).reshape(len(position), -1))
+        return self.read(places, np.asarray(value, np.float32).reshape(len(position), self.channels))
 
     def look_up(
         self,
@@ -147,61 +150,53 @@ class Cache:
                 found.append((runs, self.table.find(runs.key)))
             return found
 
-        pieces = in_threads(seek, chunks(count, PIECE), self.threads)
-        layers = [layer for piece in pieces for layer in piece]
-        if create:
-            self._make_missing(layers)
-        # entries in use get numbers in a row, so that sums and reads touch nothing else
+        pieces = in_threads(seek, _pieces(count), self.threads)
+        found = [layer for piece in pieces for layer in piece]
         used = np.zeros(self.table.slots + 1, bool)
-        for _, slot in layers:
+        for _, slot in found:
             used[slot] = True
-        live = np.flatnonzero(used).astype(np.int32)
-        number = np.empty(self.table.slots + 1, np.int32)
-        number[live] = np.arange(len(live), dtype=np.int32)
-        numbered = in_threads(
-            lambda piece: [(runs, number[slot].astype(np.int64)) for runs, slot in piece], pieces, self.threads
-        )
-        share = sum(
-            in_threads(lambda piece: self._shares(piece, len(live)), numbered, self.threads), np.zeros(len(live))
-        )
-        return Places(count, live, self.table.tag[live], numbered, share.astype(np.float32))
+        if create:
+            # before others are made, so that these are not forgotten for them
+            self.table.touch(np.flatnonzero(used))
+            used[self._make_missing(found)] = True
+        # entries in use get numbers in a row, so that sums and reads touch nothing else
+        live = np.flatnonzero(used)
+        number = np.empty(self.table.slots + 1, np.int64)
+        number[live] = np.arange(len(live))
 
-    def _shares(self, piece, entries):
-        return sum(sum_by_corner(runs.weight, runs, number, entries) for runs, number in piece)
+        def settle(piece):
+            layers = [Layer(runs.weight, number[slot].take(runs.run, axis=1)) for runs, slot in piece]
+            return layers, sum(layer.sums(None, len(live)) for layer in layers)
 
-    def _make_missing(self, layers):
-        """Make entries for all corners that have none, and write their slots into the layers in place."""
-        table = self.table
-        for _, slot in layers:
-            table.touch(slot)
-        absent = [np.nonzero(slot == table.nowhere) for _, slot in layers]
-        keys = [runs.key[where] for (runs, _), where in zip(layers, absent, strict=True)]
-        if not sum(len(k) for k in keys):
-            return
-        keys = np.concatenate(keys)
+        settled = in_threads(settle, pieces, self.threads)
+        share = sum((part for _, part in settled), np.zeros(len(live))).astype(np.float32)
+        return Places(count, live, self.table.tag[live], [layers for layers, _ in settled], share)
+
+    def _make_missing(self, found):
+        """Make entries for all corners that have none, write their slots into `found` in place, and return them."""
+        absent = [np.nonzero(slot == self.table.nowhere) for _, slot in found]
+        keys = np.concatenate([runs.key[where] for (runs, _), where in zip(found, absent, strict=True)])
         new, example, inverse = np.unique(keys, return_index=True, return_inverse=True)
-        made = table.insert(new)
-        ends = np.cumsum([len(corner) for corner, _ in absent])
-        for (_, slot), where, part in zip(layers, absent, np.split(made[inverse.reshape(-1)], ends[:-1]), strict=True):
+        before = self.table.used
+        made = self.table.insert(new)
+        of_each = np.split(made[inverse.reshape(-1)], np.cumsum([len(corner) for corner, _ in absent])[:-1])
+        for (_, slot), where, part in zip(found, absent, of_each, strict=True):
             slot[where] = part
-        self._hand_down(layers, absent, example, made)
+        if before and len(new):
+            self._hand_down(found, absent, example, made)
+        return made
 
-    def _hand_down(self, layers, absent, example, made):
-        """New entries begin with what the nearest entry of the next coarser level has, so that a level's change is no cut."""
-        if not self.table.used - np.count_nonzero(made != self.table.nowhere):
-            return
-        cell = np.concatenate(
-            [runs.cell[:, run] + CORNERS[corner].T for (runs, _), (corner, run) in zip(layers, absent, strict=True)],
-            axis=1,
-        )[:, example]
-        level = np.concatenate([runs.level[run] for (runs, _), (_, run) in zip(layers, absent, strict=True)])[example]
-        surface = np.concatenate([runs.surface[run] for (runs, _), (_, run) in zip(layers, absent, strict=True)])[
-            example
-        ]
-        parent = self.table.find(lattice_keys(cell >> 1, level + 1, surface))
+    def _hand_down(self, found, absent, example, made):
+        """New entries begin with what the nearest entry of the next coarser level has, so that a new level is no cut."""
+        pairs = list(zip(found, absent, strict=True))
+        cell = np.concatenate([runs.cell[:, run] + CORNERS[corner].T for (runs, _), (corner, run) in pairs], axis=1)
+        level = np.concatenate([runs.level[run] for (runs, _), (_, run) in pairs])
+        surface = np.concatenate([runs.surface[run] for (runs, _), (_, run) in pairs])
+        parents = lattice_keys(cell[:, example] >> 1, level[example] + 1, surface[example])
+        parent = self.table.find(parents)
         rows = np.flatnonzero((parent != self.table.nowhere) & (made != self.table.nowhere))
         parent = parent[rows]
-        count = np.minimum(self.table.counts(parent), HANDED_DOWN)
+        count = np.minimum(self.table.counts(parent), np.float32(HANDED_DOWN))
         self.table.put(made[rows], self.table.mean[:, parent], count)
 
     def holds(self, places: Places) -> bool:
@@ -214,22 +209,19 @@ class Cache:
 
     def add(self, places: Places, values: np.ndarray) -> None:
         """Add one sample at each place: values (n, channels), or (n,) for one channel."""
-        values = np.asarray(values, np.float32).reshape(places.count, -1)
-        if values.shape[1] != self.channels:
-            raise ValueError(f"This cache holds {self.channels} numbers a place, not {values.shape[1]}.")
+        values = np.asarray(values, np.float32)
+        if values.size != places.count * self.channels:
+            raise ValueError(f"{places.count} places take {self.channels} numbers each; these are {values.shape}.")
+        values = values.reshape(places.count, self.channels)
         by_channel = np.ascontiguousarray(values.T)
         entries = len(places.slot)
 
         def gather(item):
             piece, layers = item
-            total = np.zeros((self.channels, entries))
-            for runs, number in layers:
-                for c in range(self.channels):
-                    total[c] += sum_by_corner(runs.weight * by_channel[c, piece], runs, number, entries)
-            return total
+            return [sum(layer.sums(row[piece], entries) for layer in layers) for row in by_channel]
 
         sums = np.zeros((self.channels, entries))
-        for part in in_threads(gather, zip(chunks(places.count, PIECE), places.pieces, strict=True), self.threads):
+        for part in in_threads(gather, zip(_pieces(places.count), places.pieces, strict=True), self.threads):
             sums += part
         slot = self._slots(places)
         self.table.tick()
@@ -241,7 +233,8 @@ class Cache:
 
     def read(self, places: Places, otherwise: np.ndarray | float = 0.0) -> np.ndarray:
         """(n, channels) float32 of the places; where nothing is known `otherwise`, a number or (n, channels)."""
-        return self._read(places, otherwise)[0]
+        otherwise = np.broadcast_to(np.asarray(otherwise, np.float32), (places.count, self.channels))
+        return np.ascontiguousarray(self._read(places, otherwise.T)[0])
 
     def known(self, places: Places) -> np.ndarray:
         """(n,) float32 count of samples that a read at each place rests on, both layers together."""
@@ -250,34 +243,28 @@ class Cache:
     def _read(self, places, otherwise):
         slot = self._slots(places)
         count = self.table.counts(slot)
-        sums = self.table.mean[:, slot] * count
-        otherwise = np.broadcast_to(np.asarray(otherwise, np.float32), (places.count, self.channels))
+        rows = [*(self.table.mean[:, slot] * count), count]
+        # as complex numbers, since two values are fetched in the time of one
+        pairs = [a + np.complex64(1j) * b for a, b in zip(rows[0::2], rows[1::2], strict=False)]
+        alone = rows[2 * len(pairs) :]
 
-        def mix(item):
-            piece, layers = item
-            total, weight = None, None
-            # from the coarsest down: each layer's mean joins the next finer sums as `trust` samples
-            known = np.float32(0)
-            for runs, number in reversed(layers):
-                counts = read_corners(count, runs, number)
-                terms = [read_corners(row, runs, number) for row in sums]
-                known = known + counts
-                if total is not None:
-                    scale = np.minimum(np.float32(self.trust), weight * np.float32(1e6)) / np.maximum(
-                        weight, np.float32(1e-12)
-                    )
-                    terms = [term + scale * mean for term, mean in zip(terms, total, strict=True)]
-                    counts = counts + scale * weight
-                total, weight = terms, counts
-            result = np.stack([term / np.maximum(weight, np.float32(1e-12)) for term in total], axis=1)
-            unknown = weight <= 0
-            result[unknown] = otherwise[piece][unknown]
-            return result, known
+        def mix(layers):
+            sums = np.zeros((self.channels + 1, layers[0].weight.shape[1]), np.float32)
+            # from the coarsest on: what is known by then joins the sums of the next as so many samples
+            for layer in reversed(layers):
+                sums *= np.minimum(sums[-1], np.float32(self.trust)) / np.maximum(sums[-1], TINY)
+                for k, pair in enumerate(pairs):
+                    both = layer.mixtures(pair)
+                    sums[2 * k] += both.real
+                    sums[2 * k + 1] += both.imag
+                for row in alone:
+                    sums[-1] += layer.mixtures(row)
+            sums[:-1] /= np.maximum(sums[-1], TINY)
+            return sums
 
-        parts = in_threads(mix, zip(chunks(places.count, PIECE), places.pieces, strict=True), self.threads)
-        if not parts:
-            return np.zeros((0, self.channels), np.float32), np.zeros(0, np.float32)
-        return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+        parts = in_threads(mix, places.pieces, self.threads)
+        sums = np.concatenate(parts, axis=1)
+        return np.where(sums[-1] > 0, sums[:-1], otherwise).T, sums[-1]
 
     def age(self, factor: float = 0.9) -> None:
         """Every count times `factor`: what is known weighs less beside what comes."""
@@ -290,3 +277,7 @@ class Cache:
     def clear(self) -> None:
         """Forget all values. Places stay usable."""
         self.table.limit_counts(0.0)
+
+
+def _pieces(count):
+    return chunks(count, PIECE) or [slice(0, 0)]

@@ -70,17 +70,19 @@ def trilinear(place: np.ndarray) -> np.ndarray:
     return weight
 
 
-def sum_by_corner(weight: np.ndarray, runs: Runs, number: np.ndarray, count: int) -> np.ndarray:
-    """(count,) float64 sums over corners of (8, n) terms; number: (8, R) of each run's corners, below `count`."""
-    if len(runs.first) < len(runs.run):
-        weight = np.add.reduceat(weight, runs.first, axis=1)
-    return np.bincount(number.reshape(-1), weight.reshape(-1), minlength=count)
+class Layer(NamedTuple):
+    """Samples on one lattice: weight (8, n) float32 of their corners, and number (8, n) int64, which entries these are."""
 
+    weight: np.ndarray
+    number: np.ndarray
 
-def read_corners(values: np.ndarray, runs: Runs, number: np.ndarray) -> np.ndarray:
-    """(n,) float32 trilinear mixtures of (m,) float32 values."""
-    mixed = values.take(number)
-    if len(runs.first) < len(runs.run):
-        mixed = mixed.take(runs.run, axis=1)
-    mixed *= runs.weight
-    return mixed.sum(axis=0)
+    def sums(self, value: np.ndarray | None, entries: int) -> np.ndarray:
+        """(entries,) float64 sums of weight times value, (n,) float32 or None for 1."""
+        terms = self.weight if value is None else self.weight * value
+        return np.bincount(self.number.reshape(-1), terms.reshape(-1), minlength=entries)
+
+    def mixtures(self, values: np.ndarray) -> np.ndarray:
+        """(n,) sums of weight times (entries,) values."""
+        terms = values.take(self.number)
+        terms *= self.weight
+        return terms.sum(axis=0)
