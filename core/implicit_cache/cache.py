@@ -291,7 +291,7 @@ class Cache:
         """Every count times `factor`: what is known weighs less beside what comes."""
         self.table.scale_counts(factor)
 
-    def drop(self, count: float = 10.0) -> None:
+    def drop(self, count: float = 4.0) -> None:
         """No entry counts more than so many samples: after a lamp or an object moved, what is new soon shows."""
         self.table.limit_counts(count)
 

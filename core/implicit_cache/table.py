@@ -68,7 +68,7 @@ class Table:
         """
         limit = int(FULL * self.slots)
         if self.used + len(keys) > limit:
-            self._forget(self.used + len(keys) - int(KEPT * limit))
+            self._forget(max(self.used + len(keys) - limit, self.used - int(KEPT * limit)))
         slot = np.full(len(keys), self.nowhere, np.int32)
         room = min(len(keys), limit - self.used)
         found = claim(self.tag[:-1], *self._homes(keys[:room]))
