@@ -23,7 +23,7 @@ from .trust import EVERY, MEMORY, departure, scatter, worth
 PIECE = 1 << 14
 """Samples handled together: their corners stay in the second-level cache. No result depends on threads."""
 
-HANDED_DOWN = 4.0
+HANDED_DOWN = 16.0
 """A new entry begins with the mean of the next coarser one, worth at most so many samples."""
 
 

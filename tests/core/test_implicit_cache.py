@@ -48,7 +48,7 @@ class SlowCache:
             (i, j, k), level, facing, object_id = key
             parent = ((i >> 1, j >> 1, k >> 1), level + 1, facing, object_id)
             if self.count.get(parent):
-                made[key] = (self.mean[parent], min(self.count[parent], 4))
+                made[key] = (self.mean[parent], min(self.count[parent], 16))
         for key, (mean, count) in made.items():
             self.mean[key], self.count[key] = mean, count
 
