@@ -8,6 +8,7 @@ patch's biquadratic said, which costs nothing, since refining traces them anyway
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -78,6 +79,10 @@ class Photons:
     def join(self, more: Photons) -> Photons:
         """These, then `more`."""
         return Photons(*(np.concatenate([getattr(self, k), getattr(more, k)]) for k in self.__dataclass_fields__))
+
+    def take(self, rows: np.ndarray) -> Photons:
+        """Those at `rows` only."""
+        return Photons(*(getattr(self, k)[rows] for k in self.__dataclass_fields__))
 
 
 Tracing = Callable[[np.ndarray, np.ndarray, np.ndarray], Photons]
@@ -193,6 +198,20 @@ class Forest:
         beams, _ = self.kinds()
         share = np.where(beams[:, None], _SIMPSON, _CELLS) * self.measure[:, None]
         return np.bincount(self.corner.ravel(), share.ravel(), len(self.photons))
+
+    def part(self, rows: np.ndarray) -> Forest:
+        """The patches at `rows` and their photons alone, to be refined by themselves."""
+        part = copy.copy(self)
+        used, corner = np.unique(self.corner[rows], return_inverse=True)
+        part.corner = corner.reshape(-1, 9).astype(np.int32)
+        part.photons = self.photons.take(used)
+        for name in ("tree", "level", "x", "y", "error"):
+            setattr(part, name, getattr(self, name)[rows])
+        key = np.empty_like(self._keys)
+        key[self._rows] = self._keys
+        part._rows = np.argsort(key[used], kind="stable")
+        part._keys = key[used][part._rows]
+        return part
 
     def _replace(self, chosen, **new):
         keep = np.ones(len(self), bool)

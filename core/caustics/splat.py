@@ -9,14 +9,17 @@ import numpy as np
 from ..sampling import GOLDEN
 from ..threads import in_threads
 
-PER_TEXEL = (1.0, 2.0, 4.0, 8.0)
-"""Sub-samples of a patch for each texel of its length, a side: of dim patches, and of ever brighter ones."""
+SAMPLES = 8.0
+"""Sub-samples of all patches together for each texel of the atlas, about, where they cover it once."""
 
-BRIGHT = (0.5, 4.0, 30.0)
-"""Irradiance over the mean where light is, from which on the next number counts."""
+FEWEST, MOST = 1.0, 8.0
+"""Sub-samples of a patch for each texel of its length, a side."""
 
-MOST = 128
-"""Sub-samples of a patch a side, at most."""
+ROUGH = 0.5
+"""The fewest of patches that photons of several ways make, which are many, dim and on top of each other."""
+
+SIDES = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128])
+"""Numbers of sub-samples that a patch may have along a side."""
 
 BATCH = 32_768
 """Sub-samples that are spread together, at least."""
@@ -75,37 +78,49 @@ def _biquadratic(across: int, along: int) -> np.ndarray:
     return np.einsum("ai,bj->abij", line(across), line(along)).reshape(across * along, 9).astype(np.float32)
 
 
-def counts(patches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sub-samples of patches along their two sides, powers of two; patches: as in `splat`."""
+def counts(patches: np.ndarray, rough: np.ndarray, budget: float) -> tuple[np.ndarray, np.ndarray]:
+    """Sub-samples of patches along their two sides, two (m,) int out of SIDES, some `budget` in all.
+
+    patches: as in `splat`. rough: (m,) bool, as few as ROUGH will do. What a patch blurs by is its power over its number
+    of samples, so for the least blur in all that number follows the root of its irradiance.
+    """
     grid = patches[:, :, :2].reshape(3, 3, -1, 2)
     lengths = []
     for axis in (0, 1):
-        step = np.diff(grid, axis=axis)
+        step = grid[1:] - grid[:-1] if axis == 0 else grid[:, 1:] - grid[:, :-1]
         lengths.append(2 * np.sqrt((step * step).sum(axis=-1).max(axis=(0, 1))))
-    # W per texel, the patch spread over the rectangle of its lengths
-    power = patches[4, :, 2:].mean(axis=1)
     area = np.maximum(lengths[0], 0.25) * np.maximum(lengths[1], 0.25)
-    typical = power.sum() / max(area.sum(), 1e-30)
-    rate = np.array(PER_TEXEL)[np.searchsorted(np.array(BRIGHT) * typical, power / area)]
-    sides = []
-    for length in lengths:
-        exponent = np.ceil(np.log2(np.maximum(length * rate, 1)))
-        sides.append(np.minimum(np.exp2(exponent), MOST).astype(np.int64))
-    return sides[0], sides[1]
+    wanted = np.sqrt(np.sqrt(np.maximum(patches[4, :, 2:].mean(axis=1), 0) / area))
+    least = np.where(rough, ROUGH, FEWEST)
+    low, high = 0.0, MOST / max(float(wanted.max()), 1e-30) * 64
+    for _ in range(16):
+        middle = (low + high) / 2
+        rate = np.clip(wanted * middle, least, MOST)
+        low, high = (low, middle) if float((area * rate * rate).sum()) > budget else (middle, high)
+    rate = np.clip(wanted * low, least, MOST)
+    return tuple(SIDES[np.minimum(np.searchsorted(SIDES, length * rate * 0.999), len(SIDES) - 1)] for length in lengths)
 
 
-def splat(patches: np.ndarray, chart: np.ndarray, receivers, threads: int | None = None) -> np.ndarray:
+def splat(
+    patches: np.ndarray,
+    chart: np.ndarray,
+    rough: np.ndarray,
+    receivers,
+    samples: float = SAMPLES,
+    threads: int | None = None,
+) -> np.ndarray:
     """(size², c) float64 W that patches bring to each texel.
 
     patches: (9, m, 2 + c) float32: place in texels and power in W at the 3 × 3 vertices, as if all of the patch were
-    like it. chart: (m,) int32 of each patch, on which its samples are kept.
+    like it. chart: (m,) int32 of each patch, on which its samples are kept. rough: (m,) bool, see `counts`. samples: for
+    each texel, about.
     """
     size = receivers.resolution
     channels = patches.shape[2] - 2
     total = np.zeros((channels, size * size))
     if not patches.shape[1]:
         return total.T
-    across, along = counts(patches)
+    across, along = counts(patches, rough, samples * size * size)
     order = np.lexsort((along, across))
     across, along = across[order], along[order]
     starts = np.flatnonzero(np.append(True, (np.diff(across) != 0) | (np.diff(along) != 0)))
@@ -150,7 +165,8 @@ def _samples(patches, na, nb, chart, receivers):
     grid = patches.reshape(3, 3, m, columns)
     # how far neighbouring samples are apart, along x and y: as wide a box has their parallelogram's variance
     variance = sum(
-        ((np.diff(grid[..., :2], axis=axis) * _F(2 / n)) ** 2).mean(axis=(0, 1)) for axis, n in ((0, na), (1, nb))
+        ((step[..., :2] * _F(2 / n)) ** 2).mean(axis=(0, 1))
+        for step, n in ((grid[1:] - grid[:-1], na), (grid[:, 1:] - grid[:, :-1], nb))
     )
     extent = np.clip(np.sqrt(variance), 1e-3, 1)
     wide, high = (np.tile(extent[:, k], na * nb) for k in (0, 1))
