@@ -9,8 +9,10 @@ from .emission import Emitter
 from .surfaces import Surfaces
 from .tracing import SPLITS, trace
 
-PILOT = 256
+PILOT = 128
 """Photons that tell what a family carries."""
+
+PILOT_BOUNCES = 8
 
 MOST_FAMILIES = 8
 UNTRACED = 0.01
@@ -31,7 +33,7 @@ def families(surfaces: Surfaces, emitter: Emitter, caster: int, seed: int = 0) -
         tried = [f for f in order if waiting[f] > least] or order[:1]
         found = trace(
             surfaces, np.tile(origins, len(tried)), np.tile(directions, len(tried)), np.tile(first, len(tried)),
-            np.repeat(np.array(tried, np.int64), PILOT),
+            np.repeat(np.array(tried, np.int64), PILOT), bounces=PILOT_BOUNCES,
         )  # fmt: skip
         left = (found.left.reshape(SPLITS, len(tried), PILOT) * power).sum(axis=2)
         for k, family in enumerate(tried):

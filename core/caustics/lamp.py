@@ -215,7 +215,7 @@ class LampCaustics:
         surfaces = self._surfaces
         self._trees = []
         for caster in surfaces.casters:
-            places = surfaces.bounding(caster)
+            places = surfaces.bounding(caster, self.light)
             squares = emitters(self.light, places, points, self._seed, surfaces.extent)
             if not squares:
                 continue

@@ -50,7 +50,7 @@ def points(
     total = np.zeros((surfaces.channels, size * size))
     trees = []
     for caster in surfaces.casters.tolist():
-        for emitter in emitters(light, surfaces.bounding(caster), 1, 0, surfaces.extent):
+        for emitter in emitters(light, surfaces.bounding(caster, light), 1, 0, surfaces.extent):
             trees += [(emitter, caster, int(f)) for f in families(surfaces, emitter, caster)]
     for emitter, caster, family in trees:
         side = max(2, int(round(np.sqrt(photons / len(trees)))))
