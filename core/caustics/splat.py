@@ -169,7 +169,9 @@ def _samples(values, na, nb, first):
     found = _biquadratic(na, nb) @ values.reshape(9, -1)
     found = found.reshape(na * nb, columns, m).transpose(1, 0, 2)
     patch = np.tile(np.arange(first, first + m), na * nb)
-    return found[0].reshape(-1), found[1].reshape(-1), patch, found[2:].reshape(columns - 2, -1) * _F(1 / (na * nb))
+    # a parabola between photons may dip below nothing
+    power = np.maximum(found[2:].reshape(columns - 2, -1), 0) * _F(1 / (na * nb))
+    return found[0].reshape(-1), found[1].reshape(-1), patch, power
 
 
 def _kept(x, y, wide, high, patch, start, chart, receivers):
