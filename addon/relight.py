@@ -23,6 +23,7 @@ from . import (
     environment,
     extract,
     lamps,
+    live_image,
     meshes,
     points,
     store,
@@ -395,7 +396,7 @@ def undone(scene: bpy.types.Scene) -> None:
         current.shown = current.followed = ""
         _read_again(current)
         current.error = ""
-    direct.undone()
+    live_image.undone()
     if session(scene) is not None and not direct.is_baked(scene):
         direct.end(scene)
     update(scene, bpy.context.evaluated_depsgraph_get())
@@ -404,7 +405,7 @@ def undone(scene: bpy.types.Scene) -> None:
 def stop() -> None:
     """Forget everything, as when another file is opened."""
     _sessions.clear()
-    direct.stop()
+    live_image.stop()
 
 
 def pack() -> None:
