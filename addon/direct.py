@@ -6,7 +6,7 @@ How it follows them, coarsely or in full, is `live_image`'s.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import bpy
@@ -19,8 +19,11 @@ from ..core.rays import Tracer
 from ..core.scene import Light, Scene, SceneError
 from . import claims, linking, live_image, nodes, store, vertices
 from .lamps import lamp_key, read_lights
-from .live_image import PACKED, LiveImage, Read, lock
+from .live_image import PACKED, LiveImage, lock
 from .meshes import AT_VERTICES
+
+Read = Callable[[], tuple[Panes, Scene, Tracer]]
+"""The bake's panes, and the scene's surfaces as they are now, with their shadow rays."""
 
 # On `Lightpanes Direct`: the names of the objects of the lamps that it shows.
 OWNERS = "lightpanes_owners"
@@ -95,6 +98,13 @@ def make_atlas(panes: Panes, surfaces: Scene, tracer: Tracer, asked: Asked | Non
     if asked is not None:
         atlas.image(asked.lights, asked.samples)
     return atlas
+
+
+def forget_surfaces(scene: bpy.types.Scene) -> None:
+    """Glass lets other light pass now."""
+    with lock:
+        if (mine := _image.known(scene)) is not None:
+            _image.drop_atlas(mine)
 
 
 def ask_now(context: bpy.types.Context) -> Asked:

@@ -16,9 +16,7 @@ from typing import Protocol
 import bpy
 import numpy as np
 
-from ..core.panes import Panes
-from ..core.rays import Tracer
-from ..core.scene import Scene, SceneError
+from ..core.scene import SceneError
 from . import extract, store, waiting
 
 REST = 0.2
@@ -33,8 +31,8 @@ TICK = 0.01
 PACKED = "lightpanes_lamps"
 """On an image: key of the lamps that its packed pixels show, so that opening a file costs nothing."""
 
-Read = Callable[[], tuple[Panes, Scene, Tracer]]
-"""The bake's panes, and the scene's surfaces as they are now."""
+Read = Callable[[], tuple]
+"""Reads what `LiveImage.make_atlas` needs: the bake's panes, the scene's surfaces as they are now, and so on."""
 
 
 class Asked(Protocol):
@@ -126,8 +124,8 @@ class LiveImage:
         """Make room for it among the bake's images."""
         raise NotImplementedError
 
-    def make_atlas(self, panes: Panes, surfaces: Scene, tracer: Tracer):
-        """Whatever works images out of these surfaces."""
+    def make_atlas(self, *read):
+        """Whatever works images out of what was read."""
         raise NotImplementedError
 
     def images(self, atlas, asked: Asked, full: bool) -> Iterator[np.ndarray]:
@@ -138,6 +136,14 @@ class LiveImage:
     def show(self, scene: bpy.types.Scene, mine: Held, asked: Asked, image: np.ndarray, full: bool) -> None:
         """Put it where it is seen."""
         raise NotImplementedError
+
+    def image(self, atlas, asked: Asked) -> np.ndarray:
+        """The finest of them, for those who wait for it."""
+        *_, finest = self.images(atlas, asked, True)
+        return finest
+
+    def rested(self, scene: bpy.types.Scene, mine: Held, asked: Asked) -> None:
+        """It is shown in full."""
 
     # ---- what callers use ----
 
@@ -183,7 +189,7 @@ class LiveImage:
     def _at_once(self, scene, mine: Held, what: Asked) -> None:
         settle(mine)
         started = time.perf_counter()
-        image = last(self.images(mine.atlas, what, True))
+        image = self.image(mine.atlas, what)
         self._take_up(scene, mine, what, image, full=True)
         mine.milliseconds, mine.asked = 1000 * (time.perf_counter() - started), None
 
@@ -194,7 +200,7 @@ class LiveImage:
             self.begin(scene)
             self.prepare(context, mine, read)
             settle(mine)
-            return last(self.images(mine.atlas, what, True))
+            return self.image(mine.atlas, what)
 
     def finish(self, scene: bpy.types.Scene) -> None:
         """Show in full what is shown coarsely or about to be."""
@@ -204,7 +210,7 @@ class LiveImage:
                 return
             what = mine.asked
             settle(mine)
-            self._take_up(scene, mine, what, last(self.images(mine.atlas, what, True)), full=True)
+            self._take_up(scene, mine, what, self.image(mine.atlas, what), full=True)
 
     def note_packed(self, scene: bpy.types.Scene) -> None:
         """Before images are packed: say which lamps they show."""
@@ -218,18 +224,22 @@ class LiveImage:
             mine = self._held.get(scene.session_uid)
             if mine is None or mine.atlas is None or mine.surfaces == surfaces_key(fingerprint):
                 return False
-            settle(mine)
-            mine.atlas, mine.asked, mine.shown, mine.coarse = None, None, "", ""
+            self.drop_atlas(mine)
             return True
+
+    def drop_atlas(self, mine: Held) -> None:
+        """What it was made of is no more."""
+        settle(mine)
+        mine.atlas, mine.asked, mine.shown, mine.coarse = None, None, "", ""
 
     def prepare(self, context: bpy.types.Context, mine: Held, read: Read) -> None:
         """Make what works images out, where it is missing."""
         if mine.atlas is not None:
             return
         settle(mine)
-        panes, surfaces, tracer = read()
+        found = read()
         mine.surfaces = surfaces_key(extract.fingerprint(context))
-        mine.atlas = self.make_atlas(panes, surfaces, tracer)
+        mine.atlas = self.make_atlas(*found)
 
     # ---- what the timer and events of Blender use ----
 
@@ -289,30 +299,22 @@ class LiveImage:
             print(f"Lightpanes: {error}")
         redraw()
 
+    def _take_up(self, scene, mine: Held, what: Asked, image: np.ndarray, full: bool) -> None:
+        self.show(scene, mine, what, image, full)
+        mine.coarse, mine.shown, mine.error = what.key, "", ""
+        if full:
+            self._done(scene, mine, what)
+
     def _done(self, scene, mine: Held, what: Asked) -> None:
         mine.shown = what.key
         if mine.asked is not None and mine.asked.key == what.key:
             mine.asked = None
-
-    def _take_up(self, scene, mine: Held, what: Asked, image: np.ndarray, full: bool) -> None:
-        self.show(scene, mine, what, image, full)
-        mine.coarse, mine.error = what.key, ""
-        mine.shown = what.key if full else ""
-        if full and mine.asked is not None and mine.asked.key == what.key:
-            mine.asked = None
+        self.rested(scene, mine, what)
 
 
 def surfaces_key(fingerprint: dict[str, str]) -> str:
     """Of shapes and materials (`extract.fingerprint`)."""
     return repr(sorted(fingerprint.items()))
-
-
-def last(images: Iterable[np.ndarray]) -> np.ndarray:
-    """The finest."""
-    image = None
-    for each in images:
-        image = each
-    return image
 
 
 def settle(mine: Held) -> None:
