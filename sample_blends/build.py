@@ -1,4 +1,4 @@
-"""Build the sample scenes: python sample_blends/build.py [cornell] [pillars] [two_rooms] [stairs] [atrium].
+"""Build the sample scenes: python sample_blends/build.py [cornell] [pillars] [two_rooms] [stairs] [atrium] [glass].
 
 Build them with bpy 4.5, so that every supported Blender reads them.
 """
@@ -11,7 +11,9 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+import lightpanes
 from atrium import atrium
+from glass import glass
 from kit import Shape, animate, camera, diffuse, lamp, principled, save, start
 from mathutils import Matrix, Vector
 
@@ -437,13 +439,15 @@ def _flight(name, material, count, run, rise, width, place, thickness=0.16, hang
     return shape.build(name, material, place=place)
 
 
-SAMPLES = {"cornell": cornell, "pillars": pillars, "two_rooms": two_rooms, "stairs": stairs, "atrium": atrium}
+SAMPLES = {"cornell": cornell, "pillars": pillars, "two_rooms": two_rooms, "stairs": stairs, "atrium": atrium, "glass": glass}
 
 
 def main(names: list[str]) -> None:
     unknown = set(names) - set(SAMPLES)
     if unknown:
         sys.exit(f"Unknown sample: {', '.join(sorted(unknown))}. There are {', '.join(SAMPLES)}.")
+    # some samples have settings of its own
+    lightpanes.register()
     for name in names or SAMPLES:
         SAMPLES[name]()
         path = HERE / f"{name}.blend"
