@@ -163,14 +163,18 @@ def sample_map(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
 class Tracer:
     """Shadow rays of a scene.
 
+    solid: (T,) bool, triangles that block them though their material lets light straight on: those of the casters, where
+    caustics show the light that goes through them (`caustics.casters`).
     offset: m; lift origins off their surface by this much along the geometric normal.
     """
 
-    def __init__(self, scene: Scene, threads: int | None = None):
+    def __init__(self, scene: Scene, threads: int | None = None, solid: np.ndarray | None = None):
         self.threads = threads
         casts = np.array([o.casts_shadow for o in scene.objects], bool)[scene.triangle_object]
         self.transmission = Transmission(scene)
         see_through = self.transmission.see_through
+        if solid is not None:
+            see_through = see_through & ~solid
         self.scene = scene
         self._opaque = np.flatnonzero(casts & ~see_through)
         self._solid = Bvh(scene.positions, scene.triangles[self._opaque])

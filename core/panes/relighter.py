@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,11 +47,12 @@ class Panes:
 class Relighter:
     """Relights a bake. Only lamps that changed are computed again.
 
-    panes: of a bake. tracer: shadow rays in the scene as it is now.
+    panes: of a bake. tracer: shadow rays in the scene as it is now. extra: further direct irradiance of the entries,
+    (n, 3) float32, under a lamp of unit power, such as what mirrors and glass send there (`CausticLight.unit`).
     """
 
-    def __init__(self, panes: Panes, tracer: Tracer, seed: int = 0):
-        self.panes = panes
+    def __init__(self, panes: Panes, tracer: Tracer, seed: int = 0, extra: Callable[[Light], np.ndarray] | None = None):
+        self.panes, self.extra = panes, extra
         self.entry_light = EntryLight(panes.surface, tracer, seed)
         self._unit: dict[tuple, np.ndarray] = {}
         self._weights: dict[tuple, np.ndarray] = {}
@@ -87,7 +88,7 @@ class Relighter:
             if place not in unit:
                 unit[place] = self._unit.get(place)
                 if unit[place] is None:
-                    unit[place] = self.entry_light.unit(light)
+                    unit[place] = self._direct(light)
             direct = unit[place] if unit[place].ndim == 2 else unit[place][:, None]
             weights[key] = (self.panes.weights.of(direct * light.power.astype(np.float32)), 1)
         self._unit, self._weights = unit, {key: value for key, (value, _) in weights.items()}
@@ -95,6 +96,13 @@ class Relighter:
         for value, times in weights.values():
             total += value * np.float32(times)
         return total
+
+    def _direct(self, light):
+        """(n,) or (n, 3) float32 irradiance of the entries under a lamp of unit power."""
+        found = self.entry_light.unit(light)
+        if self.extra is None:
+            return found
+        return (found if found.ndim == 2 else found[:, None]) + self.extra(light)
 
     def combine(self, weights: np.ndarray) -> np.ndarray:
         """Irradiance of all texels for pane weights (m, 3): each region blends its own panes.

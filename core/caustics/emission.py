@@ -1,0 +1,286 @@
+"""Where photons start: the part of a lamp's light that may meet an object, spread over a square so that equal areas of
+it are equal amounts of light before the lamp's own falloff.
+
+The square is the rectangle around the object in Lambert's azimuthal projection, which keeps areas; for parallel light
+it is the object's cross-section. A soft lamp is a set of points, each with a square of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..sampling import concentric_disk, frame, hammersley_points
+from ..scene import Light
+
+MARGIN = 0.01
+"""Of the square around an object, so that rounding and bent edges cut nothing off."""
+
+
+@dataclass(frozen=True)
+class Emitter:
+    """One point of a lamp, or one direction of a sun, towards one object.
+
+    axes: (3, 3) float64: two unit vectors across, and the one towards the object. origin: (3,) float64, m. low, span:
+    (2,) float64 of the rectangle, in the projection's plane; m for parallel light. share: of the lamp's power.
+    lens: (2,) float64 place of the point on a ball's disk, m, which faces along the ray.
+    """
+
+    light: Light
+    axes: np.ndarray
+    origin: np.ndarray
+    low: np.ndarray
+    span: np.ndarray
+    share: float
+    parallel: bool = False
+    lens: np.ndarray | None = None
+
+    def rays(self, s: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Origins and unit directions, (3, n) float32, and W for the whole square, (n,) float32, at unit power.
+
+        s, t: (n,) float64 in [0, 1], places in the square.
+        """
+        x, y = self.low[0] + self.span[0] * s, self.low[1] + self.span[1] * t
+        size = float(self.span.prod()) * self.share
+        if self.parallel:
+            place = self.origin[:, None] + self.axes[0][:, None] * x + self.axes[1][:, None] * y
+            direction = np.broadcast_to(self.axes[2][:, None], place.shape)
+            power = np.full(len(x), size)
+            if self.light.kind == "AREA":
+                power = power * _within(self.light, place)
+            return place.astype(np.float32), direction.astype(np.float32), power.astype(np.float32)
+        square = x * x + y * y
+        direction = _unproject(self.axes, x, y, square)
+        origin = np.broadcast_to(self.origin[:, None], direction.shape)
+        if self.lens is not None:
+            origin = origin + _on_disk(self.axes, self.lens, direction)
+        power = np.where(square < 4, size, 0.0) * intensity(self.light, direction)
+        return origin.astype(np.float32), direction.astype(np.float32), power.astype(np.float32)
+
+    def emitted(self, detail: int = 64) -> float:
+        """W that go out into the square at unit power, by midpoints."""
+        cell = (np.arange(detail) + 0.5) / detail
+        s, t = (a.ravel() for a in np.meshgrid(cell, cell))
+        return float(self.rays(s, t)[2].mean(dtype=np.float64))
+
+
+def is_soft(light: Light) -> bool:
+    """Whether a lamp has a size, so that one point does not stand for it."""
+    if light.kind == "SUN":
+        return light.angle > 0
+    if light.kind == "AREA":
+        return light.spread > 0 and min(light.size) > 0
+    return light.radius > 0
+
+
+def emitters(light: Light, points: np.ndarray, count: int, seed: int = 0, extent: float = 0.0) -> list[Emitter]:
+    """Of a lamp towards an object. points: (n, 3) places that bound the object (`bounding_points`). count: points of a
+    soft lamp. extent: of the scene, m, from beyond which sunlight comes. None where none of its light can meet it."""
+    count = count if is_soft(light) else 1
+    disk = concentric_disk(hammersley_points(count, seed)).astype(np.float64) if count > 1 else np.zeros((1, 2))
+    make = {"SUN": _sun, "AREA": _panel, "POINT": _ball, "SPOT": _ball}[light.kind]
+    points = points.astype(np.float64)
+    return [e for e in make(light, points, disk, seed, extent) if e is not None and e.span.min() > 0]
+
+
+def intensity(light: Light, direction: np.ndarray) -> np.ndarray:
+    """(n,) W/sr of a point of a lamp of unit power along (3, n) unit directions."""
+    axes = light.matrix[:3, :3] / np.linalg.norm(light.matrix[:3, :3], axis=0)
+    x, y, z = axes[:, 0] @ direction, axes[:, 1] @ direction, -(axes[:, 2] @ direction)
+    if light.kind == "POINT":
+        return np.full(direction.shape[1], 0.25 / np.pi)
+    if light.kind == "SPOT":
+        if tuple(light.size) != (1.0, 1.0):
+            x, y = x / light.size[0], y / light.size[1]
+            z = z / np.sqrt(np.maximum(x * x + y * y + z * z, 1e-20))
+        edge = np.cos(light.spot_angle / 2)
+        step = np.clip((z - edge) / max((1 - edge) * light.spot_blend, 1e-7), 0, 1)
+        return step * step * (3 - 2 * step) * (0.25 / np.pi)
+    forward = np.maximum(z, 0)
+    if light.spread >= np.pi:
+        return forward / np.pi
+    half = light.spread / 2
+    slope = np.tan(half)
+    # as in lights._soft_box
+    norm = 3 / half**3 if half < 0.05 else 1 / (slope - half)
+    grid = np.maximum(slope - np.hypot(x, y) / np.maximum(forward, 1e-9), 0) * norm
+    return np.where(forward > 0, forward * grid / np.pi, 0)
+
+
+def bounding_points(corners: np.ndarray, longest: float) -> np.ndarray:
+    """(n, 3) float32 places that bound triangles (t, 3, 3) as lamps see them: corners, and places along edges longer
+    than `longest` m, which the projection bends."""
+    places = [corners.reshape(-1, 3)]
+    end = np.roll(corners, -1, axis=1)
+    long = np.linalg.norm(end - corners, axis=2) > longest
+    if long.any():
+        a, b = corners[long], end[long]
+        places += [a + (b - a) * np.float32(k / 8) for k in range(1, 8)]
+    return np.unique(np.concatenate(places), axis=0)
+
+
+def _unproject(axes, x, y, square):
+    scale = np.sqrt(np.maximum(1 - square / 4, 0))
+    return axes[0][:, None] * (x * scale) + axes[1][:, None] * (y * scale) + axes[2][:, None] * (1 - square / 2)
+
+
+def _project(axes, directions):
+    """(n, 2) places in the plane of unit directions (n, 3)."""
+    local = directions @ axes.T
+    return local[:, :2] * np.sqrt(2 / np.maximum(1 + local[:, 2], 1e-9))[:, None]
+
+
+def _on_disk(axes, lens, direction):
+    """(3, n) offsets of a point of a disk that is turned to face along each direction, the shortest way."""
+    half = direction + axes[2][:, None]
+    along = np.maximum(1 + axes[2] @ direction, 1e-9)
+    offset = 0.0
+    for k in (0, 1):
+        offset = offset + lens[k] * (axes[k][:, None] - half * ((axes[k] @ direction) / along))
+    return offset
+
+
+def _axes(towards):
+    """(3, 3): a frame whose third axis points along (3,) `towards`."""
+    towards = towards / np.linalg.norm(towards)
+    side = frame(towards[None])[0][0].astype(np.float64)
+    side -= towards * (side @ towards)
+    side /= np.linalg.norm(side)
+    return np.stack([side, np.cross(towards, side), towards])
+
+
+def _turned(axes, flat):
+    """The frame turned about its third axis, so that places (n, 2) in its plane spread most along its first."""
+    centred = flat - flat.mean(axis=0)
+    _, turn = np.linalg.eigh(centred.T @ centred)
+    a, b = turn[:, 1]
+    # a square lies as well either way: turn it only where that makes it smaller
+    turned = flat @ np.array([[a, -b], [b, a]])
+    if np.ptp(turned, axis=0).prod() > 0.98 * np.ptp(flat, axis=0).prod():
+        return axes
+    return np.stack([a * axes[0] + b * axes[1], a * axes[1] - b * axes[0], axes[2]])
+
+
+def _rectangle(flat, least=1e-7):
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    pad = MARGIN * (high - low) + least
+    return low - pad, high + pad
+
+
+def _towards(light, points, origin, share, lens=None, reach=0.0):
+    """An emitter at a point: the rectangle of an object's directions, and of a spot's cone, around their middle."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    away = (low + high) / 2 - origin
+    whole = np.array([-2.0, -2.0]), np.array([2.0, 2.0])
+    inside = (origin > low - reach).all() and (origin < high + reach).all()
+    if inside and np.linalg.norm(away) < 1e-6 * np.linalg.norm(high - low):
+        away = np.array([0.0, 0.0, 1.0])
+    axes = _axes(away)
+    if inside:
+        low, high = whole
+        vectors = points - origin
+        distance = np.linalg.norm(vectors, axis=1)
+        vectors = vectors / np.maximum(distance, 1e-12)[:, None]
+        # a hull that does not surround the lamp leaves half of the directions free
+        if reach == 0 and distance.min() > 0 and (vectors @ axes[2]).min() > 0:
+            low, high = _rectangle(_project(axes, vectors))
+    else:
+        vectors = points - origin
+        vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+        axes = _turned(axes, _project(axes, vectors))
+        if lens is not None:
+            for _ in range(3):
+                shifted = points - origin - _on_disk(axes, lens, vectors.T).T
+                vectors = shifted / np.linalg.norm(shifted, axis=1, keepdims=True)
+        low, high = _rectangle(_project(axes, vectors))
+    low, high = np.maximum(low, -2.0), np.minimum(high, 2.0)
+    if light.kind == "SPOT":
+        cone = _cone(light, axes)
+        if cone is not None:
+            low, high = np.maximum(low, cone[0]), np.minimum(high, cone[1])
+    if (high <= low).any():
+        return None
+    return Emitter(light, axes, origin, low, high - low, share, lens=lens)
+
+
+def _cone(light, axes):
+    """The rectangle of a spot's cone in the projection, None where the cone is too wide to have one."""
+    slope = np.tan(min(light.spot_angle / 2, 1.5707))
+    own = light.matrix[:3, :3] / np.linalg.norm(light.matrix[:3, :3], axis=0)
+    turn = np.linspace(0, 2 * np.pi, 64, endpoint=False)[:, None]
+    rim = slope * (light.size[0] * np.cos(turn) * own[:, 0] + light.size[1] * np.sin(turn) * own[:, 1]) - own[:, 2]
+    if tuple(light.size) == (1.0, 1.0) or light.kind != "SPOT":
+        rim = slope * (np.cos(turn) * own[:, 0] + np.sin(turn) * own[:, 1]) - own[:, 2]
+    rim /= np.linalg.norm(rim, axis=1, keepdims=True)
+    half = np.arccos(np.clip((rim @ light.direction).min(), -1, 1))
+    apart = np.arccos(np.clip(light.direction @ axes[2], -1, 1))
+    if half + apart > 0.9 * np.pi:
+        return None
+    return _rectangle(_project(axes, rim))
+
+
+def _ball(light, points, disk, seed, extent):
+    for place in disk:
+        lens = place * light.radius if len(disk) > 1 else None
+        yield _towards(light, points, light.position, 1 / len(disk), lens, light.radius if lens is not None else 0.0)
+
+
+def _panel(light, points, disk, seed, extent):
+    if min(light.size) <= 0:
+        return
+    own = light.matrix[:3, :3] / np.linalg.norm(light.matrix[:3, :3], axis=0)
+    if light.spread <= 0:
+        axes = np.stack([own[:, 0], -own[:, 1], -own[:, 2]])
+        flat = (points - light.position) @ axes[:2].T
+        half = np.array(light.size) / 2
+        low, high = _rectangle(flat)
+        low, high = np.maximum(low, -half), np.minimum(high, half)
+        round_ = np.pi / 4 if light.shape in ("DISK", "ELLIPSE") else 1.0
+        yield Emitter(
+            light,
+            axes,
+            light.position,
+            low,
+            np.maximum(high - low, 0),
+            1 / (light.size[0] * light.size[1] * round_),
+            True,
+        )
+        return
+    if light.shape in ("DISK", "ELLIPSE"):
+        places = disk / 2
+    else:
+        places = hammersley_points(len(disk), seed).astype(np.float64) - 0.5 if len(disk) > 1 else disk
+    for place in places:
+        origin = light.position + own[:, 0] * (place[0] * light.size[0]) + own[:, 1] * (place[1] * light.size[1])
+        ahead = (points - origin) @ light.direction
+        if ahead.max() > 0:
+            yield _towards(light, points, origin, 1 / len(places))
+
+
+def _sun(light, points, disk, seed, extent):
+    half = min(light.angle, np.pi) / 2
+    middle = _axes(light.direction)
+    for place in disk:
+        # even in solid angle over the sun's disk
+        radius2 = float(place @ place)
+        depth = radius2 * (1 - np.cos(half)) if len(disk) > 1 else 0.0
+        ring = np.sqrt(max(depth * (2 - depth), 0.0))
+        unit = place / np.sqrt(radius2) if radius2 > 0 else np.zeros(2)
+        towards = middle[2] * (1 - depth) + (middle[0] * unit[0] + middle[1] * unit[1]) * ring
+        axes = _axes(towards)
+        axes = _turned(axes, points @ axes[:2].T)
+        flat = points @ axes[:2].T
+        low, high = _rectangle(flat)
+        back = float((points @ axes[2]).min()) - 1.01 * extent
+        share = 2 / (1 + np.cos(half)) / len(disk) if len(disk) > 1 else 1.0
+        yield Emitter(light, axes, axes[2] * back, low, high - low, share, True)
+
+
+def _within(light, place):
+    """(n,) 1 where places (3, n) lie before a lamp of parallel light, else 0."""
+    if light.shape not in ("DISK", "ELLIPSE"):
+        return np.ones(place.shape[1])
+    own = light.matrix[:3, :3] / np.linalg.norm(light.matrix[:3, :3], axis=0)
+    local = (place - light.position[:, None]).T @ own
+    return ((2 * local[:, 0] / light.size[0]) ** 2 + (2 * local[:, 1] / light.size[1]) ** 2 <= 1).astype(float)

@@ -1,0 +1,245 @@
+"""The caustics of one lamp at unit power, from coarse to fine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..scene import Light
+from .deposit import deposit
+from .emission import Emitter, emitters, is_soft
+from .families import families, followed
+from .quadtree import Forest, Photons
+from .receivers import Receivers
+from .surfaces import Surfaces
+from .tracing import trace
+
+FIRST = 2_500
+"""Photons of the first picture, about."""
+
+BASE = 0.2
+"""Part of the photons that go onto uniform grids, so that no island of light is overlooked."""
+
+PASSES = 5
+"""In which the rest refines the worst patches."""
+
+SOFT = 16
+"""Points of a soft lamp; more where there are photons for them."""
+
+PER_POINT = 2_500
+"""Photons a point of a soft lamp, about."""
+
+
+@dataclass(frozen=True)
+class Energy:
+    """Where the light goes that a lamp of unit power sends towards the casters, W (a sun's: of 1 W/m²).
+
+    emitted = landed + absorbed + escaped + missed + untraced, but for what the photons' grid rounds. missed: passed the
+    casters by. untraced: what paths carry that were not followed. Means over the channels.
+    """
+
+    emitted: float
+    landed: float
+    absorbed: float
+    escaped: float
+    missed: float
+    untraced: float
+
+
+@dataclass(frozen=True)
+class Landings:
+    """Where light that casters sent on first met a surface that scatters it, with or without a place in the atlas.
+
+    position: (n, 3) float32, m. normal: (n, 3) float32 unit geometric normal on the side that it met. power: (n, 3)
+    float32 W that each stands for, at the lamp's unit power.
+    """
+
+    position: np.ndarray
+    normal: np.ndarray
+    power: np.ndarray
+
+
+@dataclass(frozen=True)
+class Tree:
+    """A square of photons: a point of the lamp towards an object, and the family of paths that they follow."""
+
+    emitter: Emitter
+    caster: int
+    family: int
+    unfollowed: np.ndarray
+
+
+class LampCaustics:
+    """What a lamp's photons have brought so far; `advance` goes on.
+
+    photons: to spend in all.
+    """
+
+    def __init__(
+        self,
+        light: Light,
+        surfaces: Surfaces,
+        receivers: Receivers,
+        photons: int,
+        seed: int = 0,
+        threads: int | None = None,
+    ):
+        self.light, self.photons = light, photons
+        self._surfaces, self._receivers, self._seed, self._threads = surfaces, receivers, seed, threads
+        self._forest: Forest | None = None
+        self._trees: list[Tree] = []
+        self._power: np.ndarray | None = None
+        self._shown: np.ndarray | None = None
+        self.level = 0
+        self.done = not light.casts_shadow
+        self._steps = self._run()
+
+    @property
+    def used(self) -> int:
+        """Photons so far."""
+        return 0 if self._forest is None else len(self._forest.photons)
+
+    def advance(self) -> None:
+        """One step further, to a better picture; `done` says when it was the last."""
+        if not self.done:
+            self.done = next(self._steps, self) is self
+
+    def _run(self) -> Iterator[None]:
+        """Refine until the photons are spent."""
+        soft = is_soft(self.light)
+        self._plant(1, FIRST)
+        yield
+        if soft and self._trees:
+            self._plant(int(np.clip(self.photons // PER_POINT, 4, 256)), BASE * self.photons)
+            self.level += 1
+            yield
+        while self._trees and self.used < BASE * self.photons:
+            rows = np.flatnonzero(self._forest.scores() > 0)
+            if not len(rows) or not self._refine(rows, BASE * self.photons - self.used):
+                break
+            self.level += 1
+            yield
+        for step in range(PASSES):
+            if not self._trees:
+                break
+            scores = self._forest.scores()
+            share = (self.photons - self.used) / (PASSES - step)
+            rows = np.argsort(-scores, kind="stable")[: max(1, int(share / 10))]
+            rows = rows[scores[rows] > 0]
+            if not self._refine(rows, share):
+                break
+            self.level += 1
+            if step < PASSES - 1:
+                yield
+
+    def power(self) -> np.ndarray:
+        """(resolution², c) float64 W at each texel."""
+        if self._power is None:
+            self._power = np.zeros((self._receivers.resolution**2, self._surfaces.channels))
+            if self._trees:
+                self._power = deposit(self._forest, np.arange(len(self._forest)), self._receivers, self._threads)
+        return self._power
+
+    def irradiance(self) -> np.ndarray:
+        """(resolution², c) float32 W/m²."""
+        return self._receivers.irradiance(self.power())
+
+    def energy(self) -> Energy:
+        if not self._trees:
+            return Energy(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        photons, weights = self._forest.photons, self._forest.weights()
+        landed = float(weights @ photons.power.mean(axis=1))
+        rest = weights @ photons.rest[:, 6:]
+        # every family of an object starts from the same light
+        squares = [t.emitter for t in self._trees if t.family == 0]
+        emitted = sum(e.emitted() for e in squares)
+        absorbed, escaped, untraced, missed = (float(v) for v in rest[:4])
+        return Energy(emitted, landed, absorbed, escaped, missed, untraced)
+
+    def landings(self) -> Landings:
+        if not self._trees:
+            none = np.zeros((0, 3), np.float32)
+            return Landings(none, none, none)
+        photons = self._forest.photons
+        power = photons.power * self._forest.weights()[:, None].astype(np.float32)
+        rows = np.flatnonzero(power.max(axis=1) > 0)
+        power = np.broadcast_to(power[rows], (len(rows), 3)).copy()
+        return Landings(photons.rest[rows, :3], photons.rest[rows, 3:6], power)
+
+    def _plant(self, points: int, photons: float) -> None:
+        """Trees for so many points of the lamp, on grids with about so many photons in all."""
+        surfaces = self._surfaces
+        self._trees = []
+        for caster in surfaces.casters:
+            places = surfaces.bounding(caster)
+            squares = emitters(self.light, places, points, self._seed, surfaces.extent)
+            if not squares:
+                continue
+            chosen = families(surfaces, squares[len(squares) // 2], int(caster), self._seed)
+            unfollowed = followed(chosen)
+            self._trees += [
+                Tree(square, int(caster), int(family), unfollowed[k])
+                for k, family in enumerate(chosen)
+                for square in squares
+            ]
+        self._power = None
+        if not self._trees:
+            self._forest = None
+            return
+        self._family = np.array([t.family for t in self._trees], np.int64)
+        self._caster = np.array([t.caster for t in self._trees], np.int32)
+        self._unfollowed = np.stack([t.unfollowed for t in self._trees], 1)
+        each = photons / len(self._trees)
+        level = int(np.clip(np.round(np.log2(max(np.sqrt(each) - 1, 1) / 2)), 2, 6))
+        self._forest = Forest(self._photons, len(self._trees), level)
+
+    def _refine(self, rows: np.ndarray, photons: float) -> bool:
+        if not len(rows) or photons < 16:
+            return False
+        # sixteen new photons a patch, some of them shared with neighbours
+        if len(rows) > photons / 9:
+            scores = self._forest.scores()[rows]
+            rows = rows[np.argsort(-scores, kind="stable")[: int(photons / 9)]]
+        self._forest.refine(rows)
+        self._power = None
+        return True
+
+    def _photons(self, tree: np.ndarray, s: np.ndarray, t: np.ndarray) -> Photons:
+        """Trace photons at places of trees; tree (n,) int sorted."""
+        n, surfaces, receivers = len(tree), self._surfaces, self._receivers
+        origins, directions = np.empty((3, n), np.float32), np.empty((3, n), np.float32)
+        power = np.empty(n, np.float32)
+        ends = np.searchsorted(tree, np.arange(len(self._trees) + 1))
+        for number in range(len(self._trees)):
+            part = slice(ends[number], ends[number + 1])
+            if part.start < part.stop:
+                emitter = self._trees[number].emitter
+                origins[:, part], directions[:, part], power[part] = emitter.rays(s[part], t[part])
+        found = trace(surfaces, origins, directions, self._caster[tree], self._family[tree], self._threads)
+        triangle = np.maximum(found.triangle, 0)
+        lands = found.triangle >= 0
+        placed = lands & ~found.back & (receivers.chart[triangle] > 0)
+        place = np.where(placed, receivers.place(triangle, found.u, found.v), np.float32(0)).T
+        chart = np.where(placed, receivers.chart[triangle], 0).astype(np.int32)
+        signature = _signature(found.path, lands, placed, np.where(placed, chart, surfaces.object[triangle]))
+        untraced = found.lost + (found.left * self._unfollowed[:, tree]).sum(axis=0)
+        corners = surfaces.scene.positions[surfaces.scene.triangles[triangle]]
+        position = corners[:, 0] + (corners[:, 1] - corners[:, 0]) * found.u[:, None]
+        position += (corners[:, 2] - corners[:, 0]) * found.v[:, None]
+        normal = np.where(found.back[:, None], -surfaces.flat[triangle], surfaces.flat[triangle])
+        base = self._family[tree] == 0
+        tallies = np.stack(
+            [found.absorbed * power, found.escaped * power, untraced * power, (base & (found.path == 0)) * power], 1
+        )
+        rest = np.concatenate([position, normal, tallies], axis=1).astype(np.float32)
+        return Photons(np.ascontiguousarray(place), (found.carried * power).T.copy(), signature, chart, rest)
+
+
+def _signature(path, lands, placed, where):
+    """(n,) int32, see Forest."""
+    mixed = path.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + where.astype(np.uint64)
+    mixed = (mixed ^ mixed >> np.uint64(31)) * np.uint64(0xBF58476D1CE4E5B9)
+    number = (mixed >> np.uint64(36)).astype(np.int64) * 4 + 2 + placed
+    return np.where(lands, number, np.where(path == 0, 0, -1)).astype(np.int32)

@@ -1,0 +1,218 @@
+"""Photons as the vertices of patches on quadtrees: patches of 3 × 3 photons, refined where they predict badly.
+
+After Wyman and Nichols, Adaptive Caustic Maps Using Deferred Shading, 2009: a coarse grid of photons is subdivided
+where they diverge, to a level limit, an error threshold or a number of photons. Two things differ. A patch is a beam
+with an area in place of a cluster of points, and its error is how far the photons inside landed from where the coarser
+patch's biquadratic said, which costs nothing, since refining traces them anyway.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+LEVELS = 20
+"""Finest level: patches of 2⁻²⁰ of the square's side, whose photons are 2⁻²¹ apart."""
+
+SIDE = 1 << (LEVELS + 1)
+"""Lattice steps along the side of a square."""
+
+BITS = LEVELS + 2
+"""Of a lattice coordinate in a key; SIDE itself must fit."""
+
+DIVIDED = 0.3
+"""Weight of a patch whose photons took different ways, over that of one whose photons landed anywhere at all."""
+
+FLOOR = 4.0
+"""Texels: an error counts in relation to the patch's size, or to this where it is smaller."""
+
+ENOUGH = 0.02
+"""Texels of error below which a patch is left as it is."""
+
+_SIMPSON = np.outer((1, 4, 1), (1, 4, 1)).reshape(9) / 36
+_CELLS = np.outer((1, 2, 1), (1, 2, 1)).reshape(9) / 16
+
+# the 3 × 3 of each child among its parent's 5 × 5
+_CHILD = np.array([[(a + i) * 5 + b + j for i in range(3) for j in range(3)] for a in (0, 2) for b in (0, 2)], np.int64)
+_OLD = np.array([i * 5 + j for i in (0, 2, 4) for j in (0, 2, 4)])
+_NEW = np.setdiff1d(np.arange(25), _OLD)
+
+
+def _halfway():
+    """(25, 9) weights of a patch's vertices in the biquadratic at the places of the 5 × 5."""
+    t = np.arange(5) / 4
+    line = np.stack([(1 - t) * (1 - 2 * t), 4 * t * (1 - t), t * (2 * t - 1)], 1)
+    return np.einsum("ai,bj->abij", line, line).reshape(25, 9)
+
+
+_PREDICT = _halfway()[_NEW].astype(np.float32)
+# which of the new places each child holds
+_HELD = np.array([[k for k, place in enumerate(_NEW) if place in child] for child in _CHILD])
+
+
+@dataclass
+class Photons:
+    """Vertices. place: (n, 2) float32 in texels. power: (n, c) float32 W that landed, if the whole square were like it.
+    signature: (n,) int32 (see `Forest`). chart: (n,) int32 of the atlas, 0 for none. rest: (n, k) float32, whatever else
+    is known of them."""
+
+    place: np.ndarray
+    power: np.ndarray
+    signature: np.ndarray
+    chart: np.ndarray
+    rest: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.signature)
+
+    def join(self, more: Photons) -> Photons:
+        """These, then `more`."""
+        return Photons(*(np.concatenate([getattr(self, k), getattr(more, k)]) for k in self.__dataclass_fields__))
+
+
+Tracing = Callable[[np.ndarray, np.ndarray, np.ndarray], Photons]
+"""(tree (n,) int, s (n,), t (n,) float64 in [0, 1]) → Photons."""
+
+
+class Forest:
+    """Patches on one square for each tree, and their photons.
+
+    trace: photons at places of squares. Their signature is 0 where they missed the object, −1 where they hit it and
+    landed nowhere, else a positive number that is odd where the place is in the atlas, alike for photons that took the
+    same way to the same chart. trees: how many. level: of the first grid, uniform.
+
+    photons: all so far. corner: (p, 9) int32 rows of the photons of each patch. tree, level: (p,). error: (p,) float32
+    texels by which the coarser patch was wrong here, infinite where it is not known.
+    """
+
+    def __init__(self, trace: Tracing, trees: int, level: int):
+        self._trace = trace
+        side = 1 << level
+        half = SIDE // side // 2
+        step = np.arange(2 * side + 1, dtype=np.int64) * half
+        x, y = (a.ravel() for a in np.meshgrid(step, step, indexing="ij"))
+        tree = np.repeat(np.arange(trees, dtype=np.int64), len(x))
+        self._keys = np.zeros(0, np.int64)
+        self._rows = np.zeros(0, np.int64)
+        self.photons: Photons | None = None
+        self._add(_key(tree, np.tile(x, trees), np.tile(y, trees)))
+        px, py = (a.ravel() for a in np.meshgrid(np.arange(side), np.arange(side), indexing="ij"))
+        self.tree = np.repeat(np.arange(trees, dtype=np.int32), side * side)
+        self.x, self.y = (np.tile(p, trees).astype(np.int32) * (2 * half) for p in (px, py))
+        self.level = np.full(len(self.tree), level, np.int8)
+        grid = np.arange(len(self.photons)).reshape(trees, 2 * side + 1, 2 * side + 1)
+        corner = [grid[:, i : i + 2 * side - 1 : 2, j : j + 2 * side - 1 : 2] for i in range(3) for j in range(3)]
+        self.corner = np.stack([c.ravel() for c in corner], 1).astype(np.int32)
+        self.error = np.full(len(self.tree), np.inf, np.float32)
+
+    def __len__(self) -> int:
+        return len(self.tree)
+
+    @property
+    def measure(self) -> np.ndarray:
+        """(p,) float64 part of its square that each patch is."""
+        return 0.25 ** self.level.astype(np.float64)
+
+    def kinds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Two (p,) bool: patches whose photons all took the same way into the atlas; those that differ."""
+        return kinds_of(self.photons.signature[self.corner])
+
+    def scores(self) -> np.ndarray:
+        """(p,) float32 W that may be in the wrong place; 0 for what need not be refined."""
+        signature = self.photons.signature[self.corner]
+        beams, divided = kinds_of(signature)
+        power = self.photons.power.mean(axis=1)[self.corner].max(axis=1) * self.measure
+        place = self.photons.place[self.corner]
+        one, other = place[:, 8] - place[:, 0], place[:, 6] - place[:, 2]
+        area = 0.5 * np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
+        part = np.minimum(1, self.error / np.maximum(FLOOR, np.sqrt(area)))
+        part = np.where(self.error < ENOUGH, 0, part)
+        score = np.where(beams, part, np.where(divided, DIVIDED, 0)) * power
+        return np.where(self.level < LEVELS, score, 0).astype(np.float32)
+
+    def refine(self, chosen: np.ndarray) -> np.ndarray:
+        """Replace the patches (m,) by four each. Returns (p,) bool of the new list: those that are new, at its end."""
+        if not len(chosen):
+            return np.zeros(len(self), bool)
+        tree, level = self.tree[chosen], self.level[chosen]
+        quarter = (SIDE >> 2) >> level.astype(np.int64)
+        x, y = self.x[chosen].astype(np.int64), self.y[chosen].astype(np.int64)
+        i, j = _NEW // 5, _NEW % 5
+        keys = _key(
+            tree.astype(np.int64)[:, None], x[:, None] + i * quarter[:, None], y[:, None] + j * quarter[:, None]
+        )
+        rows = self._add(keys.ravel()).reshape(keys.shape)
+        lattice = np.empty((len(chosen), 25), np.int32)
+        lattice[:, _OLD], lattice[:, _NEW] = self.corner[chosen], rows
+        error = self._errors(self.corner[chosen], rows)
+        self._replace(
+            chosen,
+            corner=lattice[:, _CHILD].reshape(-1, 9),
+            tree=np.repeat(tree, 4),
+            level=np.repeat(level + 1, 4).astype(np.int8),
+            x=(x[:, None] + np.array([0, 0, 2, 2]) * quarter[:, None]).ravel().astype(np.int32),
+            y=(y[:, None] + np.array([0, 2, 0, 2]) * quarter[:, None]).ravel().astype(np.int32),
+            error=error.ravel(),
+        )
+        new = np.zeros(len(self), bool)
+        new[-4 * len(chosen) :] = True
+        return new
+
+    def weights(self) -> np.ndarray:
+        """(n,) float64: the part of its square that each photon stands for; all of a tree sum up to 1."""
+        beams, _ = self.kinds()
+        share = np.where(beams[:, None], _SIMPSON, _CELLS) * self.measure[:, None]
+        return np.bincount(self.corner.ravel(), share.ravel(), len(self.photons))
+
+    def _replace(self, chosen, **new):
+        keep = np.ones(len(self), bool)
+        keep[chosen] = False
+        for name, value in new.items():
+            setattr(self, name, np.concatenate([getattr(self, name)[keep], value]))
+
+    def _errors(self, old, rows):
+        """(m, 4) float32 texels: the farthest that a photon of each child landed from where the parent's nine say."""
+        photons = self.photons
+        signature = photons.signature[old]
+        alike = (signature == signature[:, :1]).all(axis=1) & (photons.signature[rows] == signature[:, :1]).all(axis=1)
+        place = np.ascontiguousarray(photons.place[old].transpose(1, 0, 2)).reshape(9, -1)
+        off = (_PREDICT @ place).reshape(16, -1, 2) - photons.place[rows].transpose(1, 0, 2)
+        off = np.sqrt((off * off).sum(axis=2))
+        error = off[_HELD].max(axis=1).T
+        return np.where(alike[:, None], error, np.inf).astype(np.float32)
+
+    def _add(self, keys: np.ndarray) -> np.ndarray:
+        """(n,) rows of the photons at lattice keys (n,); those that are not known are traced."""
+        names, back = np.unique(keys, return_inverse=True)
+        back = back.reshape(-1)
+        rows = np.full(len(names), -1, np.int64)
+        if len(self._keys):
+            at = np.minimum(np.searchsorted(self._keys, names), len(self._keys) - 1)
+            known = self._keys[at] == names
+            rows[known] = self._rows[at[known]]
+        fresh = names[rows < 0]
+        if len(fresh):
+            first = len(self._keys)
+            tree, x, y = fresh >> 2 * BITS, fresh >> BITS & (1 << BITS) - 1, fresh & (1 << BITS) - 1
+            found = self._trace(tree, x / SIDE, y / SIDE)
+            self.photons = found if self.photons is None else self.photons.join(found)
+            rows[rows < 0] = first + np.arange(len(fresh))
+            # two sorted runs: a stable sort merges them
+            merged = np.concatenate([self._keys, fresh])
+            order = np.argsort(merged, kind="stable")
+            self._keys = merged[order]
+            self._rows = np.concatenate([self._rows, first + np.arange(len(fresh))])[order]
+        return rows[back]
+
+
+def kinds_of(signature: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of (p, k) signatures: two (p,) bool, all alike and in the atlas; not all alike, and some in the atlas."""
+    alike = (signature == signature[:, :1]).all(axis=1)
+    lands = (signature > 0) & (signature & 1 == 1)
+    return alike & lands[:, 0], ~alike & lands.any(axis=1)
+
+
+def _key(tree, x, y):
+    return tree << 2 * BITS | x << BITS | y

@@ -1,0 +1,122 @@
+"""The atlas as caustics see it: where on it a photon lands, and how much surface each texel stands for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..rays import Bvh, chunks
+from ..scene import Scene
+from ..surface import make_texels
+from ..threads import in_threads
+from .groups import charts
+from .splat import box_samples
+
+PROBES = 4
+"""Places a side at which a texel on a chart's border is looked at, to tell how much of it is surface."""
+
+SLIVER = 0.02
+"""Texels with less than this part of themselves on a chart show a neighbour's light: theirs would be noise."""
+
+
+class Receivers:
+    """Texels that show caustics.
+
+    resolution: texels a side. area: (resolution²,) float64 m² of surface whose light each texel gets, 0 off the charts.
+    fill: (resolution²,) int64 texel that each shows, −1 where there is no surface near.
+    """
+
+    def __init__(self, scene: Scene, resolution: int, own: np.ndarray | None = None):
+        texels = make_texels(scene, resolution)
+        if own is not None and own[texels.index].any():
+            texels = texels.keep(np.flatnonzero(own[texels.index]))
+        self.resolution = resolution
+        receives = np.array([o.receives and not o.at_vertices for o in scene.objects], bool)
+        placed = np.isfinite(scene.atlas_uv).all((1, 2)) & receives[scene.triangle_object]
+        rows = np.flatnonzero(placed)
+        self._scene = scene
+        # 0: no place in the atlas
+        self.chart = np.zeros(len(placed), np.int32)
+        self.chart[rows] = 1 + charts(scene.positions[scene.triangles[rows]], scene.atlas_uv[rows])
+        self._owner = np.zeros(resolution * resolution, np.int32)
+        self._owner[texels.index] = self.chart[texels.samples.triangle]
+        self.area = self._areas(scene, rows, texels)
+        known = np.flatnonzero(self.area[texels.index] > 0)
+        self.texels = texels.keep(known)
+        fill = self.texels.fill()
+        self.fill = np.where(fill < 0, -1, self.texels.index[fill])
+        #: (resolution²,) bool, whose neighbours all belong to the same chart
+        self.inner = self._owner > 0
+        for near in _neighbours(self._owner, resolution):
+            self.inner &= near == self._owner
+
+    def place(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(2, n) float32 place in the atlas, in texels, of barycentric places on triangles; 0 where there is none."""
+        corners = self._scene.atlas_uv[triangle]
+        a, b, c = (corners[:, k].T for k in range(3))
+        place = (a + (b - a) * u + (c - a) * v) * np.float32(self.resolution)
+        return np.where(self.chart[triangle] > 0, place, np.float32(0))
+
+    def owner(self, texel: np.ndarray) -> np.ndarray:
+        """(n,) int32 chart that texels (n,) belong to, 0 for none."""
+        return self._owner[texel]
+
+    def irradiance(self, power: np.ndarray) -> np.ndarray:
+        """(resolution², c) float32 W/m² of the power, (resolution², c), that landed at each texel; filled beyond charts."""
+        lit = (power / np.where(self.area > 0, self.area, np.inf)[:, None]).astype(np.float32)
+        return np.where(self.fill[:, None] >= 0, lit[self.fill], np.float32(0))
+
+    def _areas(self, scene, rows, texels):
+        size = self.resolution
+        flat = scene.atlas_uv[rows].astype(np.float64) * size
+        edge, other = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+        covered = np.abs(edge[:, 0] * other[:, 1] - edge[:, 1] * other[:, 0])
+        world = np.linalg.norm(scene.triangle_cross(rows).astype(np.float64), axis=1)
+        # m² of surface for a texel's area in the atlas
+        spread = np.zeros(len(self.chart))
+        spread[rows] = world / np.maximum(covered, 1e-12)
+        area = np.zeros(size * size)
+        area[texels.index] = spread[texels.samples.triangle]
+        whole = np.zeros(size * size, bool)
+        whole[texels.index[texels.centred]] = True
+        inner = whole.copy()
+        for near, also in zip(_neighbours(self._owner, size), _neighbours(whole, size), strict=True):
+            inner &= also & (near == self._owner)
+        border = np.flatnonzero((self._owner > 0) & ~inner)
+        if not len(border):
+            return area
+        # those beside the border lend it what their samples spill over
+        near = np.zeros(size * size, bool)
+        near[border] = True
+        for other in _neighbours(near.copy(), size):
+            near |= other
+        near = np.flatnonzero(near)
+        step = (np.arange(PROBES) + 0.5) / PROBES
+        offset = np.stack(np.meshgrid(step, step), -1).reshape(-1, 2)
+        places = (np.stack([near % size, near // size], 1)[:, None] + offset).reshape(-1, 2).astype(np.float32)
+        depth = np.zeros((len(flat), 3, 3), np.float32)
+        depth[:, :, :2] = flat
+        bvh = Bvh(depth)
+
+        def find(piece):
+            origins = np.ones((piece.stop - piece.start, 3), np.float32)
+            origins[:, :2] = places[piece]
+            return bvh.closest(origins, np.tile(np.array([0, 0, -1], np.float32), (len(origins), 1)))
+
+        found = np.concatenate(in_threads(find, chunks(len(places))))
+        hit = found >= 0
+        part = spread[rows[found[hit]]][None] / PROBES**2
+        half = np.full(hit.sum(), 0.5, np.float32)
+        sums = np.zeros((size * size, 1))
+        box_samples(sums, *places[hit].T, half, half, part.astype(np.float32), size)
+        full = area[border]
+        area[border] = np.where(sums[border, 0] > SLIVER * full, sums[border, 0], 0)
+        return area
+
+
+def _neighbours(values: np.ndarray, size: int):
+    """The eight neighbours of each of (size²,) values, its own beyond the atlas."""
+    padded = np.pad(values.reshape(size, size), 1, mode="edge")
+    for dy in range(3):
+        for dx in range(3):
+            if dy != 1 or dx != 1:
+                yield padded[dy : dy + size, dx : dx + size].reshape(-1)

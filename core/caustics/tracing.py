@@ -1,0 +1,266 @@
+"""Photons followed through mirrors and glass until they land.
+
+At every surface that both reflects and refracts the light splits in two. A *family* of paths says which part is
+followed: bit i of its number is set where the i-th split on the way reflects. 0 is refracted everywhere, 1 is the outer
+reflection, 2 is reflected once inside, and so on. All families together are all light, and no path is in two of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..threads import in_threads
+from .optics import dot, fresnel, normalised, reflect, refract, schlick
+from .surfaces import BENDS, LANDS, PASSES, Surfaces
+
+CHUNK = 16_384
+"""Photons that are followed together."""
+
+BOUNCES = 16
+"""Surfaces that a photon meets at most; what it still carries then is told as untraced."""
+
+SPLITS = 8
+"""Splits whose other part can be told apart; a later one's counts for the last."""
+
+LEAST = 1e-6
+"""Part of its power below which a photon is dropped, and told as untraced."""
+
+_F = np.float32
+
+
+@dataclass
+class Landed:
+    """Where photons of unit power ended.
+
+    triangle: (n,) int32, −1 where none landed. u, v: (n,) float32 barycentric place on it. back: (n,) bool, landed on
+    the reverse. carried: (c, n) float32 part of the power that landed. path: (n,) int64 what happened on the way, 0 where
+    the caster was missed. absorbed, escaped: (n,) float32 parts of the power, mean of the channels, after the family's
+    own way began. left: (SPLITS, n) float32 what other families take at each split; lost: (n,) what was not followed to
+    its end.
+    """
+
+    triangle: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+    back: np.ndarray
+    carried: np.ndarray
+    path: np.ndarray
+    absorbed: np.ndarray
+    escaped: np.ndarray
+    lost: np.ndarray
+    left: np.ndarray
+
+
+def trace(
+    surfaces: Surfaces,
+    origins: np.ndarray,
+    directions: np.ndarray,
+    first: np.ndarray,
+    family: np.ndarray,
+    threads: int | None = None,
+) -> Landed:
+    """Follow photons. origins, directions: (3, n) float32, m and unit. first: (n,) int32 object that each must meet
+    before any other surface. family: (n,) int64."""
+    count = origins.shape[1]
+    pieces = [slice(s, min(s + CHUNK, count)) for s in range(0, max(count, 1), CHUNK)]
+    parts = in_threads(
+        lambda p: _follow(surfaces, origins[:, p], directions[:, p], first[p], family[p]), pieces, threads
+    )
+    if len(parts) == 1:
+        return parts[0]
+    return Landed(*(np.concatenate([getattr(p, name) for p in parts], axis=-1) for name in Landed.__dataclass_fields__))
+
+
+def _follow(s: Surfaces, o, d, first, family) -> Landed:
+    n = len(first)
+    c = s.channels
+    result = Landed(
+        triangle=np.full(n, -1, np.int32), u=np.zeros(n, np.float32), v=np.zeros(n, np.float32), back=np.zeros(n, bool),
+        carried=np.zeros((c, n), np.float32), path=np.zeros(n, np.int64), absorbed=np.zeros(n, np.float32),
+        escaped=np.zeros(n, np.float32), lost=np.zeros(n, np.float32), left=np.zeros((SPLITS, n), np.float32),
+    )  # fmt: skip
+    # events count from the split on at which the family leaves the one that it branches off from
+    highest = np.frexp(family.astype(np.float64))[1]
+    rows = np.arange(n)
+    power = np.ones((c, n), np.float32)
+    mask, splits, path = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)
+    met = np.zeros(n, bool)
+    for _ in range(BOUNCES):
+        if not len(rows):
+            break
+        hits = s.bvh.hits(np.ascontiguousarray(o.T), np.ascontiguousarray(d.T))
+        tri = hits.triangle
+        kind = np.where(tri >= 0, s.kind[tri], LANDS)
+        gone = tri < 0
+        own = splits >= highest[rows]
+        if gone.any():
+            out = gone & met & own
+            result.escaped[rows[out]] += power[:, out].mean(axis=0)
+        ahead = ~met & ~gone & s.ghost[tri]
+        kind[ahead] = PASSES
+        lands = ~gone & (kind == LANDS) & met & own
+        at = rows[lands]
+        result.triangle[at], result.u[at], result.v[at] = tri[lands], hits.u[lands], hits.v[lands]
+        result.back[at] = dot(d[:, lands], s.flat[tri[lands]].T) > 0
+        lit, distance = power[:, lands], hits.distance[lands]
+        inner = s.inside(mask[lands])
+        if inner.any():
+            lit = _dimmed(s, result, at, lit, inner, distance, True)
+        result.carried[:, at] = lit
+        stays = ~gone & (kind != LANDS)
+        if not met.all():
+            stays &= met | (kind == PASSES) | (s.object[tri] == first[rows])
+        # one that lands though it should have split further belongs to another family
+        result.path[rows[met & ~stays]] = path[met & ~stays]
+        keep = np.flatnonzero(stays)
+        if not len(keep):
+            rows = rows[keep]
+            break
+        rows, tri, kind, u, v, distance = (
+            rows[keep],
+            tri[keep],
+            kind[keep],
+            hits.u[keep],
+            hits.v[keep],
+            hits.distance[keep],
+        )
+        o, d, power = (a.take(keep, axis=1) for a in (o, d, power))
+        mask, splits, path, met, ahead = mask[keep], splits[keep], path[keep], met[keep], ahead[keep]
+        bends = np.flatnonzero(kind == BENDS)
+        passing = np.flatnonzero(kind == PASSES)
+        if len(passing):
+            o, power, path = _pass(
+                s,
+                result,
+                rows,
+                o,
+                d,
+                power,
+                mask,
+                path,
+                met,
+                ahead,
+                tri,
+                u,
+                v,
+                distance,
+                passing,
+                splits >= highest[rows],
+            )
+        if len(bends) == len(rows):
+            o, d, power, mask, splits, path = _bend(
+                s, result, rows, d, power, mask, splits, path, tri, u, v, distance, family, highest
+            )
+            met = np.ones(len(rows), bool)
+        elif len(bends):
+            some = _bend(
+                s, result, rows[bends], d[:, bends], power[:, bends], mask[bends], splits[bends], path[bends], tri[bends],
+                u[bends], v[bends], distance[bends], family, highest,
+            )  # fmt: skip
+            o[:, bends], d[:, bends], power[:, bends] = some[:3]
+            mask[bends], splits[bends], path[bends] = some[3:]
+            met[bends] = True
+        weak = power.max(axis=0) < LEAST
+        if weak.any():
+            dropped = weak & met & (splits >= highest[rows])
+            result.lost[rows[dropped]] += power[:, dropped].mean(axis=0)
+            result.path[rows[weak]] = path[weak]
+            rows, o, d, power = rows[~weak], o[:, ~weak], d[:, ~weak], power[:, ~weak]
+            mask, splits, path, met = mask[~weak], splits[~weak], path[~weak], met[~weak]
+    own = met & (splits >= highest[rows]) if len(rows) else np.zeros(0, bool)
+    result.lost[rows[own]] += power[:, own].mean(axis=0)
+    if len(rows):
+        result.path[rows[met]] = path[met]
+    return result
+
+
+def _dimmed(s, result, at, power, inner, distance, own):
+    """Beer and Lambert: what is left of power (c, n) after `distance` in media `inner` (n,)."""
+    passed = power * np.exp(-s.absorption[:, inner] * distance)
+    result.absorbed[at] += np.where(own, (power - passed).mean(axis=0), 0)
+    return passed
+
+
+def _pass(s, result, rows, o, d, power, mask, path, met, ahead, tri, u, v, distance, some, own):
+    """Straight on through see-through surfaces."""
+    through = s.transmission.at(tri[some], u[some], v[some]).T[: s.channels]
+    through = np.where(ahead[some], _F(1), through)
+    lit = power[:, some]
+    inner = s.inside(mask[some])
+    if inner.any():
+        lit = _dimmed(s, result, rows[some], lit, inner, distance[some], own[some] & met[some])
+    passed = lit * through
+    result.absorbed[rows[some]] += np.where(own[some] & met[some], (lit - passed).mean(axis=0), 0)
+    o, power, path = o.copy(), power.copy(), path.copy()
+    power[:, some] = passed
+    o[:, some] += d[:, some] * (distance[some] + s.offset)
+    path[some] = path[some] * 1000003 + s.object[tri[some]] + 7
+    return o, power, path
+
+
+def _bend(s, result, rows, d, power, mask, splits, path, tri, u, v, distance, family, highest):
+    """One event on smooth surfaces: the new origins, directions, powers, media, splits and paths."""
+    shape = s.shape(tri)
+    place = shape[0:3] + shape[3:6] * u + shape[6:9] * v
+    normal = normalised(shape[9:12] + shape[12:15] * u + shape[15:18] * v)
+    flat = shape[18:21]
+    owner = s.object[tri]
+    bit = s.bit[owner]
+    side = dot(d, flat)
+    enters = side < 0
+    turn = np.where(enters, _F(1), _F(-1))
+    normal, flat = normal * turn, flat * turn
+    cosine = -dot(d, normal)
+    grazing = cosine <= 1e-5
+    if grazing.any():
+        # smooth normals of a coarse mesh turn away before the surface does
+        normal = np.where(grazing, flat, normal)
+        cosine = -dot(d, normal)
+    within = mask | bit
+    without = mask & ~bit
+    before, behind = s.inside(np.where(enters, mask, within)), s.inside(np.where(enters, within, without))
+    own = splits >= highest[rows]
+    if before.any() and s.absorption.any():
+        power = _dimmed(s, result, rows, power, before, distance, own)
+    behind_ior = np.where(enters & (bit == 0), s.own_ior[owner], s.ior[behind])
+    relative = s.ior[before] / behind_ior
+    reflected, inner = fresnel(cosine, relative)
+    mirror, edge, glass, gloss = s.optics(tri)
+    back = schlick(mirror, edge, cosine) + gloss * reflected
+    # an index that is equal on both sides is no surface, though a tint stays
+    through = np.where(bit > 0, glass * (1 - reflected), _F(0))
+    some_back, some_through = back.max(axis=0) > 1e-7, through.max(axis=0) > 1e-7
+    split = some_back & some_through
+    wanted = (family[rows] >> np.minimum(splits, 62)) & 1
+    mirrors = np.where(split, wanted == 1, ~some_through)
+    weight = np.where(mirrors, back, through)
+    other = np.where(split, np.where(mirrors, through, back), _F(0))
+    # what the other part carries is another family's, which counts it if this one's own way had begun
+    taken = np.where(split & own & ~mirrors, (power * other).mean(axis=0), 0)
+    slot = np.minimum(splits, SPLITS - 1)
+    result.left[slot, rows] += taken
+    splits_after = splits + split
+    absorbed = (power * (1 - weight - other)).mean(axis=0)
+    result.absorbed[rows] += np.where(own, np.maximum(absorbed, 0), 0)
+    power = power * weight
+    bounced = reflect(d, normal)
+    passed = refract(d, normal, cosine, inner, relative)
+    ahead = np.where(mirrors, bounced, passed)
+    # a smooth normal may send the ray to the wrong side of the flat face; the face's own does not
+    wrong = (dot(ahead, flat) > 0) != mirrors
+    if wrong.any():
+        steep = -dot(d[:, wrong], flat[:, wrong])
+        inner_flat = fresnel(steep, relative[wrong])[1]
+        ahead[:, wrong] = np.where(
+            mirrors[wrong],
+            reflect(d[:, wrong], flat[:, wrong]),
+            refract(d[:, wrong], flat[:, wrong], steep, inner_flat, relative[wrong]),
+        )
+    ahead = normalised(ahead)
+    mask = np.where(mirrors, mask, np.where(enters, within, without))
+    place = place + flat * np.where(mirrors, s.offset, -s.offset)
+    event = np.where(mirrors, np.where(split, 0, 1), 2)
+    path = path * 1000003 + s.group[tri] * 4 + event + 11
+    return place, ahead, power, mask, splits_after, path
