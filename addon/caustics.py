@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from itertools import count
 
 import bpy
 import numpy as np
@@ -38,6 +39,8 @@ STREAM = 0.1
 READING = 0.1
 """s that reading the scene may take for caustics to follow glass that is dragged, and not only once it rests."""
 
+_numbers = count(1)
+
 Read = Callable[[], tuple[Panes, Scene]]
 """The bake's panes, and the scene's surfaces as they are now."""
 
@@ -53,21 +56,26 @@ class Asked:
 
 @dataclass
 class Held(live_image.Held):
-    """casters: names of the objects that focus light, None where that is not known. landed: what the image shows, coarse
-    or not. reading: s that the surfaces took to read. energy: W, where the light went."""
+    """casters: names of the objects that focus light, None where that is not known. landed: where it fell when an image
+    was last worked out in full. reading: s that the surfaces took to read. energy: W, where the light went."""
 
     casters: tuple[str, ...] | None = None
-    landed: Asked | None = None
+    landed: Landed = field(default_factory=lambda: Landed())
     reading: float = 0.0
     energy: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Landed:
-    """Where the photons of lamps fall: (lamp, its `core.Landings`) each. key: of these lamps."""
+    """Where the photons of lamps fall: (lamp, its `core.Landings`) each. key: another one each time."""
 
-    landings: tuple = ()
-    key: str = ""
+    landings: tuple[tuple[Light, core.Landings], ...] = ()
+    key: int = 0
+
+    @classmethod
+    def of(cls, atlas: CausticAtlas, lights: Iterable[Light]) -> Landed:
+        """As the atlas has them."""
+        return cls(tuple((light, atlas.landings(light)) for light in lights), next(_numbers))
 
 
 class Traced:
@@ -129,12 +137,12 @@ class _Caustics(LiveImage):
 
     def show(self, scene, mine, asked, image, full):
         store.write_image(scene, store.CAUSTICS, image)
-        mine.landed = asked
 
     def rested(self, scene, mine, asked):
         from . import relight
 
-        mine.energy = _energy(mine.atlas.atlas, asked.lights)
+        atlas = mine.atlas.atlas
+        mine.energy, mine.landed = _energy(atlas, asked.lights), Landed.of(atlas, asked.lights)
         relight.bounce(scene)
 
 
@@ -241,7 +249,7 @@ def values(context: bpy.types.Context, scene: bpy.types.Scene, asked: Asked, rea
         if not _prepare(context, scene, mine, read):
             return None
         image = _image.value(context, scene, asked, read)
-        mine.landed = asked
+        mine.landed = Landed.of(mine.atlas.atlas, asked.lights)
         return image[..., :3]
 
 
@@ -277,11 +285,19 @@ def look_again(scene: bpy.types.Scene, fingerprint: dict[str, str]) -> bool:
         return True
 
 
-def look_for_more(scene: bpy.types.Scene) -> None:
-    """Where nothing cast caustics so far a material may have become glass since."""
+def look_anew(scene: bpy.types.Scene) -> None:
+    """Before light is worked out anew: where nothing cast caustics so far a material may have become glass, and of a file
+    that was just opened it is not known where they fall."""
     mine = known(scene)
     if mine is not None and not mine.casters:
         mine.casters = None
+    need_landings(scene)
+
+
+def need_landings(scene: bpy.types.Scene) -> None:
+    """Before the irradiance is worked out anew: it needs to know where the light falls that the image shows."""
+    if is_baked(scene) and not held(scene).landed.key:
+        held(scene).shown = ""
 
 
 def can_follow(scene: bpy.types.Scene, item: bpy.types.ID) -> bool:
@@ -291,17 +307,19 @@ def can_follow(scene: bpy.types.Scene, item: bpy.types.ID) -> bool:
 
 
 def landed(scene: bpy.types.Scene) -> Landed:
-    """Where the light falls that the image shows."""
+    """Where the light fell that the image shows, or showed when it was last worked out in full."""
     mine = known(scene)
-    if mine is None or mine.atlas is None or mine.landed is None or not is_baked(scene):
-        return Landed()
-    atlas = mine.atlas.atlas
-    return Landed(tuple((light, atlas.landings(light)) for light in mine.landed.lights), mine.landed.key)
+    return mine.landed if mine is not None and is_baked(scene) else Landed()
+
+
+def is_shown(scene: bpy.types.Scene) -> bool:
+    """Whether the scene's bake has the image."""
+    return store.find_image(scene, store.CAUSTICS) is not None
 
 
 def drop(scene: bpy.types.Scene) -> None:
     """Take the image out of the bake, where it is."""
-    if store.find_entries(scene) is not None and store.find_image(scene, store.CAUSTICS) is not None:
+    if is_shown(scene):
         store.drop_image(scene, store.CAUSTICS)
         nodes.rebuild(scene)
         nodes.show_in_cycles(scene)

@@ -360,7 +360,10 @@ def _finish(options, path: Path, target: Path, report: dict) -> None:
             image = store.find_image(scene, role)
             picture = target.with_name(f"{target.stem}_{word}.exr")
             _replacing(picture, lambda place, image=image: image.save(filepath=str(place), save_copy=True))
-            report[word] = str(picture)
+            if word == "caustics":
+                report.setdefault(word, {})["image"] = str(picture)
+            else:
+                report[word] = str(picture)
         summary = target.with_name(f"{target.stem}_report.json")
         _replacing(summary, lambda place: place.write_text(json.dumps(report, indent=2) + "\n", "utf-8"))
     _write_report(options, report)

@@ -29,10 +29,12 @@ from . import (
     live_image,
     meshes,
     points,
+    stale,
     store,
     vertices,
     visibility,
 )
+from .focus import Focus
 from .lamps import lamp_key
 
 
@@ -44,7 +46,8 @@ class Session:
     relighter: Relighter | None = None
     edited: bool = False  # its shadows are those of surfaces that differ from what was baked
     shown: str = ""  # key of the lamps that the image shows
-    landed: str = ""  # key of the caustics whose bounces it shows
+    landed: int = 0  # key of the caustics whose bounces it shows
+    focus: Focus | None = None  # what these bring to the entries
     last: dict[str, Light] = field(default_factory=dict)  # the lamps that the image shows, by name
     static: dict[str, str] = field(default_factory=dict)  # keys of the lamps that are baked in, by name
     baked_in: tuple[Light, ...] = ()  # these lamps, as they were baked
@@ -139,7 +142,7 @@ def relight(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph | None = 
         if current is None:
             raise SceneError(f"Scene '{scene.name}' has no bake; press Bake first.")
         current.last.clear()
-        caustics.look_for_more(scene)
+        caustics.look_anew(scene)
         if direct.is_baked(scene) or caustics.is_baked(scene):
             look_again(scene, extract.fingerprint(context))
         lights = _read_lights(depsgraph or context.evaluated_depsgraph_get(), current)
@@ -167,9 +170,12 @@ def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, at_once: bool
         if current.owes and not meshes.in_edit_mode():
             current.shown = ""
         changed = key != current.shown
-        if not (changed or direct.is_baked(scene) or caustics.is_baked(scene)) or not engine.ready():
+        worked = direct.is_baked(scene) or caustics.is_baked(scene) or caustics.is_shown(scene)
+        if not (changed or worked) or not engine.ready():
             return False
         try:
+            if changed:
+                caustics.need_landings(scene)
             focused = _apply_caustics(bpy.context, scene, current, lights, at_once)
             changed = changed or (focused and at_once)
             if changed:
@@ -196,10 +202,10 @@ def check_stale(context: bpy.types.Context) -> tuple[str, ...]:
     if not extract.changed_objects(meta["fingerprint"], now) and not meshes.in_edit_mode():
         _read_again(current)
     look_again(scene, now)
-    current.stale = differences(meta["fingerprint"], now) + _follow(context, current, meta, now)
+    current.stale = stale.of_objects(meta["fingerprint"], now) + _follow(context, current, meta, now)
     if meta.get("world", environment.digest(scene.world)) != environment.digest(scene.world):
         current.stale += ("The world was changed since the bake; bake again.",)
-    current.stale += _lamp_changes(current, shining)
+    current.stale += stale.of_lamps(current.static, current.panes, shining)
     return current.stale
 
 
@@ -237,35 +243,6 @@ def _follow(context, current: Session, meta: dict, now: dict[str, str]) -> tuple
     return current.moved
 
 
-def _lamp_changes(current: Session, shining) -> tuple[str, ...]:
-    """What to tell the user about lamps that the bake holds, and those that it cannot show."""
-    now = {light.name: light for light in shining}
-    told = []
-    for name, key in current.static.items():
-        if name not in now:
-            told.append(f"Lamp '{name}' is baked in, and was deleted, hidden or switched off since; bake again.")
-        elif lamp_key([now[name]]) != key:
-            told.append(f"Lamp '{name}' is baked in, and was changed since; bake again.")
-        elif now[name].live:
-            told.append(f"Lamp '{name}' is baked in; bake again to make it live.")
-    if not current.panes:
-        others = [f"'{name}'" for name in now if name not in current.static]
-        if others:
-            told.append(f"This bake has no live lamp, so it cannot show {', '.join(others)}; bake again.")
-    return tuple(told)
-
-
-def differences(before: dict[str, str], now: dict[str, str]) -> tuple[str, ...]:
-    """What to tell the user about objects that were added, deleted or edited; fingerprints by object name."""
-    gone = [f"'{name}' was deleted or hidden" for name in before if name not in now]
-    new = [f"'{name}' was added" for name in now if name not in before]
-    # "" is an object that the viewport hides, which can't be read
-    edited = [
-        f"'{name}' was moved or edited" for name, was in before.items() if was and now.get(name, was) not in (was, "")
-    ]
-    return tuple(f"{what} since the bake; bake again." for what in gone + edited + new)
-
-
 def _read_lights(depsgraph, current: Session, rendering: bool = False) -> tuple[Light, ...]:
     """The lamps that a render or a viewport shows; those that are not live as they were when last shown, and those
     that are baked in not at all."""
@@ -300,9 +277,8 @@ def _hidden_lamps(scene, view_layer: str) -> set[str]:
 def _apply(context, scene, current: Session, lights):
     relighter = relighter_of(context, current)
     begin = time.perf_counter()
-    landed = caustics.landed(scene)
-    light = relighter.light(lights, landed.landings)
-    current.landed = landed.key
+    _focus(scene, current, relighter)
+    light = relighter.light(lights)
     if relighter.panes.shown is not None:
         points.show(scene, relighter.rows(light))
     told = vertices.show(scene, relighter.vertices(light))
@@ -336,6 +312,8 @@ def _apply_direct(context, scene, current: Session, lights, at_once: bool = True
 def _apply_caustics(context, scene, current: Session, lights, at_once: bool = True) -> bool:
     """Whether the lamps' light is focused by anything, and that had to change."""
     if not caustics.is_baked(scene):
+        # what was glass is none any more
+        caustics.drop(scene)
         return False
     asked = caustics.ask(scene, lights, current.baked_in)
     return caustics.update(context, scene, asked, lambda: shapes_of(context, current), at_once)
@@ -414,7 +392,21 @@ def shapes_of(context: bpy.types.Context, current: Session) -> tuple[Panes, Scen
 
 def image_of(context: bpy.types.Context, current: Session, lights: Sequence[Light]) -> np.ndarray:
     """(H, W, 4) float32 irradiance under these lamps, W/m², with what bounces off the caustics that were worked out last."""
-    return relighter_of(context, current).relight(lights, caustics.landed(context.scene).landings)
+    relighter = relighter_of(context, current)
+    _focus(context.scene, current, relighter)
+    return relighter.relight(lights)
+
+
+def _focus(scene, current: Session, relighter: Relighter) -> None:
+    """Let the relighter know of the caustics that were worked out last."""
+    landed = caustics.landed(scene)
+    if landed.key != current.landed or (current.focus is not None and relighter.extra is None):
+        if current.focus is None and landed.landings:
+            current.focus = Focus(relighter.panes.surface, relighter.entry_light.tracer.offset)
+        if current.focus is not None:
+            current.focus.take(landed)
+            relighter.extra = current.focus.of
+        current.landed = landed.key
 
 
 def relighter_of(context: bpy.types.Context, current: Session) -> Relighter:

@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 
 import bpy
-import numpy as np
 import lightpanes
+import numpy as np
 from atrium import atrium
 from glass import glass
 from kit import Shape, animate, camera, diffuse, lamp, principled, save, start
@@ -439,7 +439,14 @@ def _flight(name, material, count, run, rise, width, place, thickness=0.16, hang
     return shape.build(name, material, place=place)
 
 
-SAMPLES = {"cornell": cornell, "pillars": pillars, "two_rooms": two_rooms, "stairs": stairs, "atrium": atrium, "glass": glass}
+SAMPLES = {
+    "cornell": cornell,
+    "pillars": pillars,
+    "two_rooms": two_rooms,
+    "stairs": stairs,
+    "atrium": atrium,
+    "glass": glass,
+}
 
 
 def main(names: list[str]) -> None:

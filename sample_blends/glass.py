@@ -37,7 +37,9 @@ def glass() -> None:
 
     sphere = Shape()
     radius, rings = 0.2, 48
-    turned = [(radius * math.sin(math.pi * k / rings), -radius * math.cos(math.pi * k / rings)) for k in range(rings + 1)]
+    turned = [
+        (radius * math.sin(math.pi * k / rings), -radius * math.cos(math.pi * k / rings)) for k in range(rings + 1)
+    ]
     turned[0], turned[-1] = (0.0, -radius), (0.0, radius)
     sphere.lathe(turned, 96)
     _dark(sphere.build("Sphere", _clear("Glass", (1.0, 1.0, 1.0), 1.5), smooth=True), (-0.62, -0.12, radius + 0.06))
