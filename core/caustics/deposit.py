@@ -6,7 +6,7 @@ import numpy as np
 
 from .quadtree import Forest, kinds_of
 from .receivers import Receivers
-from .splat import box_samples, splat
+from .splat import splat
 
 _QUADS = np.array([[0, 1, 3, 4], [1, 2, 4, 5], [3, 4, 6, 7], [4, 5, 7, 8]])
 # the nine vertices of a bilinear quad, from its four
@@ -15,11 +15,15 @@ _BILINEAR = np.array(
 ) / np.float32(4)
 
 
+_AHEAD = np.array([[3, 3, -3, -3], [1, -1, 1, -1]])
+"""From each corner of a quad to the one ahead of it along both sides, in the patch's numbering."""
+
+
 def deposit(forest: Forest, rows: np.ndarray, receivers: Receivers, threads: int | None = None) -> np.ndarray:
     """(resolution², c) float64 W that the patches at `rows` bring to each texel.
 
-    Patches of one way are whole beams. Of the others, quads whose four photons agree are, and the remaining photons
-    count as points: they are many and small.
+    Patches of one way are whole beams. Of the others, quads whose four photons agree are; in the rest each photon stands
+    for the quarter of the quad next to it, as wide as neighbours that went the same way say.
     """
     photons = forest.photons
     corner, measure = forest.corner[rows], forest.measure[rows].astype(np.float32)
@@ -28,22 +32,58 @@ def deposit(forest: Forest, rows: np.ndarray, receivers: Receivers, threads: int
     patches = values[corner[beams].T]
     patches[:, :, 2:] *= measure[beams][None, :, None]
     chart = photons.chart[corner[beams, 4]]
-    quads = corner[divided][:, _QUADS].reshape(-1, 4)
-    share = np.repeat(measure[divided] / 4, 4)
-    alike, partly = kinds_of(photons.signature[quads])
-    if alike.any():
-        parts = np.tensordot(_BILINEAR, values[quads[alike].T], axes=1)
-        parts[:, :, 2:] *= share[alike][None, :, None]
+    mixed = corner[divided]
+    if len(mixed):
+        quads = mixed[:, _QUADS]
+        alike, partly = (k.reshape(-1, 4) for k in kinds_of(photons.signature[quads].reshape(-1, 4)))
+        share = measure[divided] / 4
+        patch, quad = np.nonzero(alike)
+        whole = values[quads[patch, quad].T]
+        whole[:, :, 2:] *= share[patch][None, :, None]
+        patch, quad = np.nonzero(partly)
+        cells, middle = _quarters(photons, values, mixed[patch], quad, share[patch] / 4)
+        parts = np.tensordot(_BILINEAR, np.concatenate([whole, cells], axis=1), axes=1)
         patches = np.concatenate([patches, parts], axis=1)
-        chart = np.concatenate([chart, photons.chart[quads[alike, 0]]])
-    total = splat(patches, chart, receivers, threads)
-    if partly.any():
-        points = quads[partly].ravel()
-        lands = photons.signature[points] & 1 == 1
-        lands &= photons.signature[points] > 0
-        power = np.repeat(share[partly] / 4, 4)[lands]
-        points = points[lands]
-        x, y = photons.place[points].T
-        box = np.ones(len(points), np.float32)
-        box_samples(total, x, y, box, box, (photons.power[points] * power[:, None]).T, receivers.resolution)
-    return total
+        chart = np.concatenate([chart, photons.chart[quads[alike][:, 0]], photons.chart[middle]])
+    return splat(patches, chart, receivers, threads)
+
+
+def _quarters(photons, values, corner, quad, share):
+    """(4, m, 2 + c) corners of the quarters that photons of quads stand for, and (m,) rows of those photons.
+
+    corner: (n, 9) of patches, quad: (n,) which of its four. share: (n,) float32 part of the square of a quarter.
+    """
+    found, middles = [], []
+    for k in range(4):
+        at = _QUADS[quad, k]
+        here = corner[np.arange(len(corner)), at]
+        signature = photons.signature[here]
+        lands = (signature > 0) & (signature & 1 == 1)
+        if not lands.any():
+            continue
+        at, here, own, mine = at[lands], here[lands], corner[lands], signature[lands]
+        rows = np.arange(len(at))
+        half = []
+        for ahead in _AHEAD[:, k]:
+            other = own[rows, at + ahead]
+            inside = photons.signature[other] == mine
+            step = np.where(inside[:, None], photons.place[other] - photons.place[here], 0)
+            # none there: as far as from the neighbour behind, where there is one
+            behind = at - ahead
+            exists = (behind >= 0) & (behind < 9)
+            if abs(ahead) == 1:
+                exists &= np.clip(behind, 0, 8) // 3 == at // 3
+            other = own[rows, np.clip(behind, 0, 8)]
+            use = ~inside & exists & (photons.signature[other] == mine)
+            step = np.where(use[:, None], photons.place[here] - photons.place[other], step)
+            half.append(step * np.float32(0.5))
+        cell = np.repeat(values[here][None], 4, axis=0)
+        cell[:, :, 2:] *= share[lands][None, :, None]
+        cell[1, :, :2] += half[1]
+        cell[2, :, :2] += half[0]
+        cell[3, :, :2] += half[0] + half[1]
+        found.append(cell)
+        middles.append(here)
+    if not found:
+        return np.zeros((4, 0, values.shape[1]), np.float32), np.zeros(0, np.int64)
+    return np.concatenate(found, axis=1), np.concatenate(middles)

@@ -32,6 +32,10 @@ PER_POINT = 2_500
 """Photons a point of a soft lamp, about."""
 
 
+GRAZING = 0.4
+"""What a photon of an outer reflection counts for where it just missed the object, in the choice of what to refine."""
+
+
 @dataclass(frozen=True)
 class Energy:
     """Where the light goes that a lamp of unit power sends towards the casters, W (a sun's: of 1 W/m²).
@@ -191,9 +195,11 @@ class LampCaustics:
         self._family = np.array([t.family for t in self._trees], np.int64)
         self._caster = np.array([t.caster for t in self._trees], np.int32)
         self._unfollowed = np.stack([t.unfollowed for t in self._trees], 1)
-        each = photons / len(self._trees)
-        level = int(np.clip(np.round(np.log2(max(np.sqrt(each) - 1, 1) / 2)), 2, 6))
-        self._forest = Forest(self._photons, len(self._trees), level)
+        # what is not refracted straight through is weaker and wider: a quarter of the photons do
+        coarser = (self._family > 0).astype(np.int64)
+        each = photons / (0.25**coarser).sum()
+        level = int(np.clip(np.round(np.log2(max(np.sqrt(each) - 1, 1) / 2)), 2, 7))
+        self._forest = Forest(self._photons, np.maximum(level - coarser, 2))
 
     def _refine(self, rows: np.ndarray, photons: float) -> bool:
         if not len(rows) or photons < 16:
@@ -223,7 +229,7 @@ class LampCaustics:
         placed = lands & ~found.back & (receivers.chart[triangle] > 0)
         place = np.where(placed, receivers.place(triangle, found.u, found.v), np.float32(0)).T
         chart = np.where(placed, receivers.chart[triangle], 0).astype(np.int32)
-        signature = _signature(found.path, lands, placed, np.where(placed, chart, surfaces.object[triangle]))
+        signature = _signature(found.path, lands, placed, np.where(placed, chart, surfaces.object[triangle] * lands))
         untraced = found.lost + (found.left * self._unfollowed[:, tree]).sum(axis=0)
         corners = surfaces.scene.positions[surfaces.scene.triangles[triangle]]
         position = corners[:, 0] + (corners[:, 1] - corners[:, 0]) * found.u[:, None]
@@ -234,7 +240,11 @@ class LampCaustics:
             [found.absorbed * power, found.escaped * power, untraced * power, (base & (found.path == 0)) * power], 1
         )
         rest = np.concatenate([position, normal, tallies], axis=1).astype(np.float32)
-        return Photons(np.ascontiguousarray(place), (found.carried * power).T.copy(), signature, chart, rest)
+        landed = (found.carried * power).T.copy()
+        # just inside an outline all light is reflected, in a strip that a coarse grid may miss
+        grazes = (found.path == 0) & (self._family[tree] & 1 == 1)
+        carried = landed.mean(axis=1) + np.where(grazes, GRAZING, found.escaped) * power
+        return Photons(np.ascontiguousarray(place), landed, carried, signature, chart, rest)
 
 
 def _signature(path, lands, placed, where):
@@ -242,4 +252,4 @@ def _signature(path, lands, placed, where):
     mixed = path.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + where.astype(np.uint64)
     mixed = (mixed ^ mixed >> np.uint64(31)) * np.uint64(0xBF58476D1CE4E5B9)
     number = (mixed >> np.uint64(36)).astype(np.int64) * 4 + 2 + placed
-    return np.where(lands, number, np.where(path == 0, 0, -1)).astype(np.int32)
+    return np.where(lands, number, np.where(path == 0, 0, -number)).astype(np.int32)

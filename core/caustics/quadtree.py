@@ -22,8 +22,11 @@ SIDE = 1 << (LEVELS + 1)
 BITS = LEVELS + 2
 """Of a lattice coordinate in a key; SIDE itself must fit."""
 
-DIVIDED = 0.3
-"""Weight of a patch whose photons took different ways, over that of one whose photons landed anywhere at all."""
+DIVIDED = 1.0
+"""Weight of a patch whose photons took different ways and some of them landed, over one that is as wrong as can be."""
+
+DARK = 0.2
+"""The same where none of them landed, though one that lies between them may."""
 
 FLOOR = 4.0
 """Texels: an error counts in relation to the patch's size, or to this where it is smaller."""
@@ -38,6 +41,8 @@ _CELLS = np.outer((1, 2, 1), (1, 2, 1)).reshape(9) / 16
 _CHILD = np.array([[(a + i) * 5 + b + j for i in range(3) for j in range(3)] for a in (0, 2) for b in (0, 2)], np.int64)
 _OLD = np.array([i * 5 + j for i in (0, 2, 4) for j in (0, 2, 4)])
 _NEW = np.setdiff1d(np.arange(25), _OLD)
+# those on the border of the 5 × 5 that are not among the 3 × 3
+_EDGE = np.array([k for k in _NEW if k // 5 in (0, 4) or k % 5 in (0, 4)])
 
 
 def _halfway():
@@ -50,16 +55,19 @@ def _halfway():
 _PREDICT = _halfway()[_NEW].astype(np.float32)
 # which of the new places each child holds
 _HELD = np.array([[k for k, place in enumerate(_NEW) if place in child] for child in _CHILD])
+# neighbours among the 3 × 3
+_STEPS = [(k, k + 1) for k in (0, 1, 3, 4, 6, 7)] + [(k, k + 3) for k in range(6)]
 
 
 @dataclass
 class Photons:
     """Vertices. place: (n, 2) float32 in texels. power: (n, c) float32 W that landed, if the whole square were like it.
-    signature: (n,) int32 (see `Forest`). chart: (n,) int32 of the atlas, 0 for none. rest: (n, k) float32, whatever else
-    is known of them."""
+    carried: (n,) float32 W, mean of the channels, with which they landed or left the scene. signature: (n,) int32 (see
+    `Forest`). chart: (n,) int32 of the atlas, 0 for none. rest: (n, k) float32, whatever else is known of them."""
 
     place: np.ndarray
     power: np.ndarray
+    carried: np.ndarray
     signature: np.ndarray
     chart: np.ndarray
     rest: np.ndarray
@@ -79,32 +87,30 @@ Tracing = Callable[[np.ndarray, np.ndarray, np.ndarray], Photons]
 class Forest:
     """Patches on one square for each tree, and their photons.
 
-    trace: photons at places of squares. Their signature is 0 where they missed the object, −1 where they hit it and
-    landed nowhere, else a positive number that is odd where the place is in the atlas, alike for photons that took the
-    same way to the same chart. trees: how many. level: of the first grid, uniform.
+    trace: photons at places of squares. Their signature is 0 where they missed the object, else alike for photons that
+    took the same way to the same chart: a negative number where they landed nowhere, else a positive one, odd where the
+    place is in the atlas. levels: (trees,) int of each tree's first grid.
 
     photons: all so far. corner: (p, 9) int32 rows of the photons of each patch. tree, level: (p,). error: (p,) float32
     texels by which the coarser patch was wrong here, infinite where it is not known.
     """
 
-    def __init__(self, trace: Tracing, trees: int, level: int):
+    def __init__(self, trace: Tracing, levels: np.ndarray):
         self._trace = trace
-        side = 1 << level
-        half = SIDE // side // 2
-        step = np.arange(2 * side + 1, dtype=np.int64) * half
-        x, y = (a.ravel() for a in np.meshgrid(step, step, indexing="ij"))
-        tree = np.repeat(np.arange(trees, dtype=np.int64), len(x))
         self._keys = np.zeros(0, np.int64)
         self._rows = np.zeros(0, np.int64)
         self.photons: Photons | None = None
-        self._add(_key(tree, np.tile(x, trees), np.tile(y, trees)))
-        px, py = (a.ravel() for a in np.meshgrid(np.arange(side), np.arange(side), indexing="ij"))
-        self.tree = np.repeat(np.arange(trees, dtype=np.int32), side * side)
-        self.x, self.y = (np.tile(p, trees).astype(np.int32) * (2 * half) for p in (px, py))
-        self.level = np.full(len(self.tree), level, np.int8)
-        grid = np.arange(len(self.photons)).reshape(trees, 2 * side + 1, 2 * side + 1)
-        corner = [grid[:, i : i + 2 * side - 1 : 2, j : j + 2 * side - 1 : 2] for i in range(3) for j in range(3)]
-        self.corner = np.stack([c.ravel() for c in corner], 1).astype(np.int32)
+        self.tree = np.repeat(np.arange(len(levels), dtype=np.int32), 4 ** levels.astype(np.int64))
+        self.level = levels[self.tree].astype(np.int8)
+        grids = {level: np.meshgrid(*2 * [np.arange(1 << level)], indexing="ij") for level in set(levels.tolist())}
+        side = (SIDE >> self.level.astype(np.int64))
+        self.x, self.y = (
+            (np.concatenate([grids[level][k].ravel() for level in levels.tolist()]) * side).astype(np.int32) for k in (0, 1)
+        )
+        half = side[:, None] >> 1
+        i, j = np.arange(9) // 3, np.arange(9) % 3
+        keys = _key(self.tree.astype(np.int64)[:, None], self.x[:, None] + i * half, self.y[:, None] + j * half)
+        self.corner = self._add(keys.ravel()).reshape(-1, 9).astype(np.int32)
         self.error = np.full(len(self.tree), np.inf, np.float32)
 
     def __len__(self) -> int:
@@ -123,14 +129,36 @@ class Forest:
         """(p,) float32 W that may be in the wrong place; 0 for what need not be refined."""
         signature = self.photons.signature[self.corner]
         beams, divided = kinds_of(signature)
-        power = self.photons.power.mean(axis=1)[self.corner].max(axis=1) * self.measure
+        carried = self.photons.carried
+        power = carried[self.corner].max(axis=1)
         place = self.photons.place[self.corner]
         one, other = place[:, 8] - place[:, 0], place[:, 6] - place[:, 2]
         area = 0.5 * np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
         part = np.minimum(1, self.error / np.maximum(FLOOR, np.sqrt(area)))
         part = np.where(self.error < ENOUGH, 0, part)
-        score = np.where(beams, part, np.where(divided, DIVIDED, 0)) * power
-        return np.where(self.level < LEVELS, score, 0).astype(np.float32)
+        part = np.where(beams, part, np.where(divided, DIVIDED, 0))
+        alike = (signature == signature[:, :1]).all(axis=1)
+        part = np.where(~alike & ~divided, DARK, part)
+        blank = np.flatnonzero(alike & ~beams)
+        power[blank] = self._beside(blank, carried)
+        part[blank] = DIVIDED
+        return np.where(self.level < LEVELS, part * power * self.measure, 0).astype(np.float32)
+
+    def _beside(self, rows: np.ndarray, carried: np.ndarray) -> np.ndarray:
+        """(m,) float32 largest power of the photons that finer neighbours traced on the edges of patches at `rows`.
+
+        Where a patch's own photons all went nowhere, these tell of light that reaches into it between them.
+        """
+        quarter = ((SIDE >> 2) >> self.level[rows].astype(np.int64))[:, None]
+        i, j = _EDGE // 5, _EDGE % 5
+        keys = _key(
+            self.tree[rows].astype(np.int64)[:, None], self.x[rows, None] + i * quarter, self.y[rows, None] + j * quarter
+        )
+        at = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
+        known = self._keys[at] == keys
+        signature = self.photons.signature[self._rows[at]]
+        lands = known & (signature > 0) & (signature & 1 == 1)
+        return np.where(lands, carried[self._rows[at]], 0).max(axis=1, initial=0)
 
     def refine(self, chosen: np.ndarray) -> np.ndarray:
         """Replace the patches (m,) by four each. Returns (p,) bool of the new list: those that are new, at its end."""

@@ -22,7 +22,8 @@ class Receivers:
     """Texels that show caustics.
 
     resolution: texels a side. area: (resolution²,) float64 m² of surface whose light each texel gets, 0 off the charts.
-    fill: (resolution²,) int64 texel that each shows, −1 where there is no surface near.
+    fill: (resolution²,) int64 texel that each shows, −1 where there is no surface near. inner: (resolution²,) bool, texels
+    whose neighbours all belong to the same chart. chart: (T,) int32 of each triangle, 0 without a place in the atlas.
     """
 
     def __init__(self, scene: Scene, resolution: int, own: np.ndarray | None = None):
@@ -40,11 +41,12 @@ class Receivers:
         self._owner = np.zeros(resolution * resolution, np.int32)
         self._owner[texels.index] = self.chart[texels.samples.triangle]
         self.area = self._areas(scene, rows, texels)
+        self._owner[self.area <= 0] = 0
         known = np.flatnonzero(self.area[texels.index] > 0)
         self.texels = texels.keep(known)
         fill = self.texels.fill()
         self.fill = np.where(fill < 0, -1, self.texels.index[fill])
-        #: (resolution²,) bool, whose neighbours all belong to the same chart
+        # whose neighbours all belong to the same chart
         self.inner = self._owner > 0
         for near in _neighbours(self._owner, resolution):
             self.inner &= near == self._owner

@@ -6,10 +6,14 @@ from functools import cache
 
 import numpy as np
 
+from ..sampling import GOLDEN
 from ..threads import in_threads
 
-PER_TEXEL = 2.0
-"""Sub-samples of a patch for each texel of its length, a side."""
+PER_TEXEL = (1.0, 2.0, 4.0, 8.0)
+"""Sub-samples of a patch for each texel of its length, a side: of dim patches, and of ever brighter ones."""
+
+BRIGHT = (0.5, 4.0, 30.0)
+"""Irradiance over the mean where light is, from which on the next number counts."""
 
 MOST = 128
 """Sub-samples of a patch a side, at most."""
@@ -71,14 +75,21 @@ def _biquadratic(across: int, along: int) -> np.ndarray:
     return np.einsum("ai,bj->abij", line(across), line(along)).reshape(across * along, 9).astype(np.float32)
 
 
-def counts(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sub-samples of patches along their two sides, powers of two; points: (9, m, 2) float32 places in texels."""
-    grid = points.reshape(3, 3, -1, 2)
-    sides = []
+def counts(patches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sub-samples of patches along their two sides, powers of two; patches: as in `splat`."""
+    grid = patches[:, :, :2].reshape(3, 3, -1, 2)
+    lengths = []
     for axis in (0, 1):
         step = np.diff(grid, axis=axis)
-        length = 2 * np.sqrt((step * step).sum(axis=-1).max(axis=(0, 1)))
-        exponent = np.ceil(np.log2(np.maximum(length * PER_TEXEL, 1)))
+        lengths.append(2 * np.sqrt((step * step).sum(axis=-1).max(axis=(0, 1))))
+    # W per texel, the patch spread over the rectangle of its lengths
+    power = patches[4, :, 2:].mean(axis=1)
+    area = np.maximum(lengths[0], 0.25) * np.maximum(lengths[1], 0.25)
+    typical = power.sum() / max(area.sum(), 1e-30)
+    rate = np.array(PER_TEXEL)[np.searchsorted(np.array(BRIGHT) * typical, power / area)]
+    sides = []
+    for length in lengths:
+        exponent = np.ceil(np.log2(np.maximum(length * rate, 1)))
         sides.append(np.minimum(np.exp2(exponent), MOST).astype(np.int64))
     return sides[0], sides[1]
 
@@ -94,7 +105,7 @@ def splat(patches: np.ndarray, chart: np.ndarray, receivers, threads: int | None
     total = np.zeros((channels, size * size))
     if not patches.shape[1]:
         return total.T
-    across, along = counts(patches[:, :, :2])
+    across, along = counts(patches)
     order = np.lexsort((along, across))
     across, along = across[order], along[order]
     starts = np.flatnonzero(np.append(True, (np.diff(across) != 0) | (np.diff(along) != 0)))
@@ -156,14 +167,19 @@ def _kept(x, y, wide, high, patches, chart, each, receivers):
     x, y, wide, high = x.copy(), y.copy(), wide.copy(), high.copy()
     patch = outer % len(chart)
     mine = chart[patch]
-    # a curve between places on a chart may leave it: back to the texel beside it, or to the patch's middle
+    # what lies off the chart: back to the texel beside it, or somewhere between there and the patch's first photon
     off = receivers.owner(texel[outer]) != mine
     if off.any():
-        rows, patch = outer[off], patch[off]
+        rows, patch, mine_off = outer[off], patch[off], mine[off]
         near = receivers.fill[texel[rows]]
-        back = (near >= 0) & (receivers.owner(np.maximum(near, 0)) == mine[off])
-        x[rows] = np.where(back, near % size + _F(0.5), patches[4, patch, 0])
-        y[rows] = np.where(back, near // size + _F(0.5), patches[4, patch, 1])
+        apart = np.maximum(np.abs(near % size - texel[rows] % size), np.abs(near // size - texel[rows] // size))
+        beside = (near >= 0) & (apart <= 1) & (receivers.owner(np.maximum(near, 0)) == mine_off)
+        fx, fy = patches[0, patch, 0], patches[0, patch, 1]
+        part = (rows * GOLDEN % 1).astype(np.float32)
+        bx, by = fx + (x[rows] - fx) * part, fy + (y[rows] - fy) * part
+        kept = receivers.owner(_texel(bx, by, size)) == mine_off
+        x[rows] = np.where(beside, near % size + _F(0.5), np.where(kept, bx, fx))
+        y[rows] = np.where(beside, near // size + _F(0.5), np.where(kept, by, fy))
     spills = np.zeros(len(outer), bool)
     for side in (-0.5, 0.5):
         for end in (-0.5, 0.5):
