@@ -103,10 +103,9 @@ class Forest:
         self.tree = np.repeat(np.arange(len(levels), dtype=np.int32), 4 ** levels.astype(np.int64))
         self.level = levels[self.tree].astype(np.int8)
         grids = {level: np.meshgrid(*2 * [np.arange(1 << level)], indexing="ij") for level in set(levels.tolist())}
-        side = SIDE >> self.level.astype(np.int64)
+        side = (SIDE >> self.level.astype(np.int64))
         self.x, self.y = (
-            (np.concatenate([grids[level][k].ravel() for level in levels.tolist()]) * side).astype(np.int32)
-            for k in (0, 1)
+            (np.concatenate([grids[level][k].ravel() for level in levels.tolist()]) * side).astype(np.int32) for k in (0, 1)
         )
         half = side[:, None] >> 1
         i, j = np.arange(9) // 3, np.arange(9) % 3
@@ -153,9 +152,7 @@ class Forest:
         quarter = ((SIDE >> 2) >> self.level[rows].astype(np.int64))[:, None]
         i, j = _EDGE // 5, _EDGE % 5
         keys = _key(
-            self.tree[rows].astype(np.int64)[:, None],
-            self.x[rows, None] + i * quarter,
-            self.y[rows, None] + j * quarter,
+            self.tree[rows].astype(np.int64)[:, None], self.x[rows, None] + i * quarter, self.y[rows, None] + j * quarter
         )
         at = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
         known = self._keys[at] == keys

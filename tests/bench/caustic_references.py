@@ -37,12 +37,7 @@ def reference(name: str, surfaces: Surfaces, receivers: Receivers, light: Light,
 
 
 def points(
-    surfaces: Surfaces,
-    receivers: Receivers,
-    light: Light,
-    photons: float,
-    seed: int,
-    stratified: bool = True,
+    surfaces: Surfaces, receivers: Receivers, light: Light, photons: float, seed: int, stratified: bool = True,
     spread: Callable = None,
 ) -> np.ndarray:
     """(resolution², c) float64 W that point photons bring to each texel. spread: how a photon is shared by texels,
