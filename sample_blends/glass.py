@@ -92,7 +92,7 @@ def glass() -> None:
     through = (0.56, 0.12, 0.36)
     path = {1: (-0.15, 0.30, 1.05), 34: (-0.25, -0.25, 0.85), 67: (0.15, 0.55, 1.15), 100: (-0.15, 0.30, 1.05)}
     animate(spot, path, {frame: through for frame in path})
-    camera((0, -2.75, 1.35), (0.0, -0.02, 0.22), lens=43, size=(960, 640))
+    camera((0, -2.6, 1.5), (0.0, 0.02, 0.2), lens=45, size=(960, 600))
 
 
 def _biconvex(radius: float, bulge: float, steps: int) -> list[tuple[float, float]]:
