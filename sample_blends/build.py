@@ -13,9 +13,9 @@ import bpy
 import lightpanes
 import numpy as np
 from atrium import atrium
-from glass import glass
 from kit import Shape, animate, camera, diffuse, lamp, principled, save, start
 from mathutils import Matrix, Vector
+from tabletop import glass
 
 HERE = Path(__file__).resolve().parent
 
