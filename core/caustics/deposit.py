@@ -19,11 +19,13 @@ _AHEAD = np.array([[3, 3, -3, -3], [1, -1, 1, -1]])
 """From each corner of a quad to the one ahead of it along both sides, in the patch's numbering."""
 
 
-def deposit(forest: Forest, rows: np.ndarray, receivers: Receivers, threads: int | None = None) -> np.ndarray:
+def deposit(
+    forest: Forest, rows: np.ndarray, receivers: Receivers, samples: float, threads: int | None = None
+) -> np.ndarray:
     """(resolution², c) float64 W that the patches at `rows` bring to each texel.
 
     Patches of one way are whole beams. Of the others, quads whose four photons agree are; in the rest each photon stands
-    for the quarter of the quad next to it, as wide as neighbours that went the same way say.
+    for the quarter of the quad next to it, as wide as neighbours that went the same way say. samples: for each texel, about (see splat).
     """
     photons = forest.photons
     corner, measure = forest.corner[rows], forest.measure[rows].astype(np.float32)
@@ -32,7 +34,7 @@ def deposit(forest: Forest, rows: np.ndarray, receivers: Receivers, threads: int
     patches = values[corner[beams].T]
     patches[:, :, 2:] *= measure[beams][None, :, None]
     chart = photons.chart[corner[beams, 4]]
-    mixed = corner[divided]
+    mixed, whole_ones = corner[divided], patches.shape[1]
     if len(mixed):
         quads = mixed[:, _QUADS]
         alike, partly = (k.reshape(-1, 4) for k in kinds_of(photons.signature[quads].reshape(-1, 4)))
@@ -45,7 +47,8 @@ def deposit(forest: Forest, rows: np.ndarray, receivers: Receivers, threads: int
         parts = np.tensordot(_BILINEAR, np.concatenate([whole, cells], axis=1), axes=1)
         patches = np.concatenate([patches, parts], axis=1)
         chart = np.concatenate([chart, photons.chart[quads[alike][:, 0]], photons.chart[middle]])
-    return splat(patches, chart, receivers, threads)
+    rough = np.arange(patches.shape[1]) >= whole_ones
+    return splat(patches, chart, rough, receivers, samples, threads)
 
 
 def _quarters(photons, values, corner, quad, share):

@@ -9,8 +9,10 @@ from .emission import Emitter
 from .surfaces import Surfaces
 from .tracing import SPLITS, trace
 
-PILOT = 256
+PILOT = 128
 """Photons that tell what a family carries."""
+
+PILOT_BOUNCES = 8
 
 MOST_FAMILIES = 8
 UNTRACED = 0.01
@@ -18,26 +20,32 @@ UNTRACED = 0.01
 
 
 def families(surfaces: Surfaces, emitter: Emitter, caster: int, seed: int = 0) -> np.ndarray:
-    """(k,) int64 families to follow, those that carry most; 0 always among them. Empty where the object is not met."""
+    """(k,) int64 families to follow, those that carry most; 0 always among them."""
     s, t = r2_points(PILOT, seed).T.astype(np.float64)
     origins, directions, power = emitter.rays(s, t)
     first = np.full(PILOT, caster, np.int32)
-    waiting = {0: np.inf}
     chosen: list[int] = []
-    total = 0.0
+    waiting, total = {0: np.inf}, 0.0
+    # a round follows all that matter of what the rounds before left, so that few photons are traced together
     while waiting and len(chosen) < MOST_FAMILIES and (not chosen or sum(waiting.values()) > UNTRACED * total):
-        family = max(waiting, key=waiting.get)
-        if waiting.pop(family) <= 0:
-            break
-        chosen.append(family)
-        found = trace(surfaces, origins, directions, first, np.full(PILOT, family, np.int64))
-        if family == 0:
+        order = sorted(waiting, key=waiting.get, reverse=True)[: MOST_FAMILIES - len(chosen)]
+        least = UNTRACED / 4 * total
+        tried = [f for f in order if waiting[f] > least] or order[:1]
+        found = trace(
+            surfaces, np.tile(origins, len(tried)), np.tile(directions, len(tried)), np.tile(first, len(tried)),
+            np.repeat(np.array(tried, np.int64), PILOT), bounces=PILOT_BOUNCES,
+        )  # fmt: skip
+        left = (found.left.reshape(SPLITS, len(tried), PILOT) * power).sum(axis=2)
+        for k, family in enumerate(tried):
+            chosen.append(family)
+            del waiting[family]
+            for split in range(family.bit_length(), SPLITS):
+                if left[split, k] > 0:
+                    waiting[family | 1 << split] = float(left[split, k])
+        if chosen == [0]:
             total = float(power[found.path != 0].sum())
             if total == 0:
-                return np.zeros(1, np.int64)
-        left = found.left @ power
-        for split in range(family.bit_length(), SPLITS):
-            waiting[family | 1 << split] = float(left[split])
+                break
     return np.array(sorted(chosen), np.int64)
 
 

@@ -13,6 +13,7 @@ from .emission import Emitter, emitters, is_soft
 from .families import families, followed
 from .quadtree import Forest, Photons
 from .receivers import Receivers
+from .splat import SAMPLES
 from .surfaces import Surfaces
 from .tracing import trace
 
@@ -27,6 +28,15 @@ PASSES = 5
 
 SOFT = 16
 """Points of a soft lamp; more where there are photons for them."""
+
+NEW = 10
+"""New photons of a refined patch, about; it has sixteen, some of them its neighbours' too."""
+
+WHOLE = 200_000
+"""Photons up to which a lamp's patches are kept together; more are traced part by part."""
+
+PART = 200_000
+"""Photons of a part, about."""
 
 PER_POINT = 2_500
 """Photons a point of a soft lamp, about."""
@@ -95,20 +105,22 @@ class LampCaustics:
         self._forest: Forest | None = None
         self._trees: list[Tree] = []
         self._power: np.ndarray | None = None
-        self._shown: np.ndarray | None = None
-        self.level = 0
+        # photons of parts that are done, and all power with theirs
+        self._used = 0
+        self._parted: np.ndarray | None = None
         self.done = not light.casts_shadow
         self._steps = self._run()
 
     @property
     def used(self) -> int:
         """Photons so far."""
-        return 0 if self._forest is None else len(self._forest.photons)
+        return self._used + (0 if self._forest is None else len(self._forest.photons))
 
     def advance(self) -> None:
         """One step further, to a better picture; `done` says when it was the last."""
         if not self.done:
             self.done = next(self._steps, self) is self
+            self._power = None
 
     def _run(self) -> Iterator[None]:
         """Refine until the photons are spent."""
@@ -117,33 +129,59 @@ class LampCaustics:
         yield
         if soft and self._trees:
             self._plant(int(np.clip(self.photons // PER_POINT, 4, 256)), BASE * self.photons)
-            self.level += 1
             yield
-        while self._trees and self.used < BASE * self.photons:
-            rows = np.flatnonzero(self._forest.scores() > 0)
-            if not len(rows) or not self._refine(rows, BASE * self.photons - self.used):
+        if not self._trees:
+            return
+        whole = min(self.photons, WHOLE)
+        while self.used < BASE * whole:
+            if not self._refine_worst(self._forest, BASE * whole - self.used):
                 break
-            self.level += 1
             yield
         for step in range(PASSES):
-            if not self._trees:
+            if not self._refine_worst(self._forest, (whole - self.used) / (PASSES - step)):
                 break
-            scores = self._forest.scores()
-            share = (self.photons - self.used) / (PASSES - step)
-            rows = np.argsort(-scores, kind="stable")[: max(1, int(share / 10))]
-            rows = rows[scores[rows] > 0]
-            if not self._refine(rows, share):
-                break
-            self.level += 1
             if step < PASSES - 1:
                 yield
+        if self.photons > self.used >= 0.9 * WHOLE:
+            yield
+            yield from self._in_parts()
+
+    def _in_parts(self) -> Iterator[None]:
+        """Refine further one part after another, each forgotten once its power is in the picture."""
+        forest, scores = self._forest, self._forest.scores().astype(np.float64)
+        power, budget = self.power(), self.photons - self.used
+        parts = int(np.ceil(budget / PART))
+        # neighbours together, as much to do in each
+        bounds = np.searchsorted(np.cumsum(scores), scores.sum() * np.arange(1, parts) / parts)
+        for rows in np.split(np.arange(len(forest)), np.unique(bounds)):
+            share = budget * scores[rows].sum() / max(scores.sum(), 1e-300)
+            if share < 16:
+                continue
+            part = forest.part(rows)
+            before = len(part.photons)
+            for step in range(PASSES):
+                left = share - (len(part.photons) - before)
+                if not self._refine_worst(part, left / (PASSES - step)):
+                    break
+            fine, coarse = (
+                deposit(f, r, self._receivers, SAMPLES, self._threads)
+                for f, r in ((part, np.arange(len(part))), (forest, rows))
+            )
+            power = power + (fine - coarse)
+            self._used += len(part.photons) - before
+            self._parted = power
+            yield
 
     def power(self) -> np.ndarray:
         """(resolution², c) float64 W at each texel."""
+        if self._parted is not None:
+            return self._parted
         if self._power is None:
             self._power = np.zeros((self._receivers.resolution**2, self._surfaces.channels))
             if self._trees:
-                self._power = deposit(self._forest, np.arange(len(self._forest)), self._receivers, self._threads)
+                rows = np.arange(len(self._forest))
+                samples = SAMPLES if self.done else SAMPLES / 4
+                self._power = deposit(self._forest, rows, self._receivers, samples, self._threads)
         return self._power
 
     def irradiance(self) -> np.ndarray:
@@ -177,7 +215,7 @@ class LampCaustics:
         surfaces = self._surfaces
         self._trees = []
         for caster in surfaces.casters:
-            places = surfaces.bounding(caster)
+            places = surfaces.bounding(caster, self.light)
             squares = emitters(self.light, places, points, self._seed, surfaces.extent)
             if not squares:
                 continue
@@ -201,14 +239,14 @@ class LampCaustics:
         level = int(np.clip(np.round(np.log2(max(np.sqrt(each) - 1, 1) / 2)), 2, 7))
         self._forest = Forest(self._photons, np.maximum(level - coarser, 2))
 
-    def _refine(self, rows: np.ndarray, photons: float) -> bool:
-        if not len(rows) or photons < 16:
+    def _refine_worst(self, forest: Forest, photons: float) -> bool:
+        """Refine the patches with the highest scores by about so many photons; False where there is nothing to do."""
+        scores = forest.scores()
+        rows = np.argsort(-scores, kind="stable")[: int(photons / NEW)]
+        rows = rows[scores[rows] > 0]
+        if not len(rows):
             return False
-        # sixteen new photons a patch, some of them shared with neighbours
-        if len(rows) > photons / 9:
-            scores = self._forest.scores()[rows]
-            rows = rows[np.argsort(-scores, kind="stable")[: int(photons / 9)]]
-        self._forest.refine(rows)
+        forest.refine(rows)
         self._power = None
         return True
 

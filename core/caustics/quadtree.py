@@ -8,6 +8,7 @@ patch's biquadratic said, which costs nothing, since refining traces them anyway
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -79,6 +80,10 @@ class Photons:
         """These, then `more`."""
         return Photons(*(np.concatenate([getattr(self, k), getattr(more, k)]) for k in self.__dataclass_fields__))
 
+    def take(self, rows: np.ndarray) -> Photons:
+        """Those at `rows` only."""
+        return Photons(*(getattr(self, k)[rows] for k in self.__dataclass_fields__))
+
 
 Tracing = Callable[[np.ndarray, np.ndarray, np.ndarray], Photons]
 """(tree (n,) int, s (n,), t (n,) float64 in [0, 1]) → Photons."""
@@ -103,9 +108,10 @@ class Forest:
         self.tree = np.repeat(np.arange(len(levels), dtype=np.int32), 4 ** levels.astype(np.int64))
         self.level = levels[self.tree].astype(np.int8)
         grids = {level: np.meshgrid(*2 * [np.arange(1 << level)], indexing="ij") for level in set(levels.tolist())}
-        side = (SIDE >> self.level.astype(np.int64))
+        side = SIDE >> self.level.astype(np.int64)
         self.x, self.y = (
-            (np.concatenate([grids[level][k].ravel() for level in levels.tolist()]) * side).astype(np.int32) for k in (0, 1)
+            (np.concatenate([grids[level][k].ravel() for level in levels.tolist()]) * side).astype(np.int32)
+            for k in (0, 1)
         )
         half = side[:, None] >> 1
         i, j = np.arange(9) // 3, np.arange(9) % 3
@@ -152,7 +158,9 @@ class Forest:
         quarter = ((SIDE >> 2) >> self.level[rows].astype(np.int64))[:, None]
         i, j = _EDGE // 5, _EDGE % 5
         keys = _key(
-            self.tree[rows].astype(np.int64)[:, None], self.x[rows, None] + i * quarter, self.y[rows, None] + j * quarter
+            self.tree[rows].astype(np.int64)[:, None],
+            self.x[rows, None] + i * quarter,
+            self.y[rows, None] + j * quarter,
         )
         at = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
         known = self._keys[at] == keys
@@ -193,6 +201,20 @@ class Forest:
         beams, _ = self.kinds()
         share = np.where(beams[:, None], _SIMPSON, _CELLS) * self.measure[:, None]
         return np.bincount(self.corner.ravel(), share.ravel(), len(self.photons))
+
+    def part(self, rows: np.ndarray) -> Forest:
+        """The patches at `rows` and their photons alone, to be refined by themselves."""
+        part = copy.copy(self)
+        used, corner = np.unique(self.corner[rows], return_inverse=True)
+        part.corner = corner.reshape(-1, 9).astype(np.int32)
+        part.photons = self.photons.take(used)
+        for name in ("tree", "level", "x", "y", "error"):
+            setattr(part, name, getattr(self, name)[rows])
+        key = np.empty_like(self._keys)
+        key[self._rows] = self._keys
+        part._rows = np.argsort(key[used], kind="stable")
+        part._keys = key[used][part._rows]
+        return part
 
     def _replace(self, chosen, **new):
         keep = np.ones(len(self), bool)

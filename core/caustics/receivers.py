@@ -15,7 +15,10 @@ PROBES = 4
 """Places a side at which a texel on a chart's border is looked at, to tell how much of it is surface."""
 
 SLIVER = 0.02
-"""Texels with less than this part of themselves on a chart show a neighbour's light: theirs would be noise."""
+"""Texels with less than this part of themselves on a chart are none of it."""
+
+HALF = 0.5
+"""Texels with less than this part of themselves on a chart share a neighbour's light: theirs alone would be noise."""
 
 
 class Receivers:
@@ -42,8 +45,9 @@ class Receivers:
         self._owner[texels.index] = self.chart[texels.samples.triangle]
         self.area = self._areas(scene, rows, texels)
         self._owner[self.area <= 0] = 0
-        known = np.flatnonzero(self.area[texels.index] > 0)
-        self.texels = texels.keep(known)
+        self._home = self._homes(texels.index)
+        own_home = self._home[texels.index] == texels.index
+        self.texels = texels.keep(np.flatnonzero((self.area[texels.index] > 0) & own_home))
         fill = self.texels.fill()
         self.fill = np.where(fill < 0, -1, self.texels.index[fill])
         # whose neighbours all belong to the same chart
@@ -64,8 +68,29 @@ class Receivers:
 
     def irradiance(self, power: np.ndarray) -> np.ndarray:
         """(resolution², c) float32 W/m² of the power, (resolution², c), that landed at each texel; filled beyond charts."""
-        lit = (power / np.where(self.area > 0, self.area, np.inf)[:, None]).astype(np.float32)
+        size = len(self.area)
+        area = np.bincount(self._home, self.area, size)
+        shared = np.stack([np.bincount(self._home, channel, size) for channel in power.T], 1)
+        lit = (shared / np.where(area > 0, area, np.inf)[:, None]).astype(np.float32)
         return np.where(self.fill[:, None] >= 0, lit[self.fill], np.float32(0))
+
+    def _homes(self, index):
+        """(resolution²,) int64 texel with which each shares its light: itself, or a neighbour on the same chart where only
+        a small part of it is surface."""
+        size = self.resolution
+        home = np.arange(size * size)
+        part = np.zeros(size * size)
+        part[index] = self.area[index] / self._full[index]
+        best = np.where(part >= HALF, np.inf, np.maximum(part, HALF))
+        for near, at, owner in zip(
+            _neighbours(part, size),
+            _neighbours(np.arange(size * size), size),
+            _neighbours(self._owner, size),
+            strict=True,
+        ):
+            better = (near > best) & (owner == self._owner) & (self._owner > 0)
+            home[better], best[better] = at[better], near[better]
+        return home
 
     def _areas(self, scene, rows, texels):
         size = self.resolution
@@ -78,6 +103,7 @@ class Receivers:
         spread[rows] = world / np.maximum(covered, 1e-12)
         area = np.zeros(size * size)
         area[texels.index] = spread[texels.samples.triangle]
+        self._full = np.maximum(area, 1e-300)
         whole = np.zeros(size * size, bool)
         whole[texels.index[texels.centred]] = True
         inner = whole.copy()

@@ -9,14 +9,17 @@ import numpy as np
 from ..sampling import GOLDEN
 from ..threads import in_threads
 
-PER_TEXEL = (1.0, 2.0, 4.0, 8.0)
-"""Sub-samples of a patch for each texel of its length, a side: of dim patches, and of ever brighter ones."""
+SAMPLES = 8.0
+"""Sub-samples of all patches together for each texel of the atlas, about, where they cover it once."""
 
-BRIGHT = (0.5, 4.0, 30.0)
-"""Irradiance over the mean where light is, from which on the next number counts."""
+FEWEST, MOST = 1.0, 8.0
+"""Sub-samples of a patch for each texel of its length, a side."""
 
-MOST = 128
-"""Sub-samples of a patch a side, at most."""
+ROUGH = 0.5
+"""The fewest of patches that photons of several ways make, which are many, dim and on top of each other."""
+
+SIDES = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128])
+"""Numbers of sub-samples that a patch may have along a side."""
 
 BATCH = 32_768
 """Sub-samples that are spread together, at least."""
@@ -75,109 +78,126 @@ def _biquadratic(across: int, along: int) -> np.ndarray:
     return np.einsum("ai,bj->abij", line(across), line(along)).reshape(across * along, 9).astype(np.float32)
 
 
-def counts(patches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sub-samples of patches along their two sides, powers of two; patches: as in `splat`."""
-    grid = patches[:, :, :2].reshape(3, 3, -1, 2)
-    lengths = []
-    for axis in (0, 1):
-        step = np.diff(grid, axis=axis)
-        lengths.append(2 * np.sqrt((step * step).sum(axis=-1).max(axis=(0, 1))))
-    # W per texel, the patch spread over the rectangle of its lengths
-    power = patches[4, :, 2:].mean(axis=1)
-    area = np.maximum(lengths[0], 0.25) * np.maximum(lengths[1], 0.25)
-    typical = power.sum() / max(area.sum(), 1e-30)
-    rate = np.array(PER_TEXEL)[np.searchsorted(np.array(BRIGHT) * typical, power / area)]
-    sides = []
-    for length in lengths:
-        exponent = np.ceil(np.log2(np.maximum(length * rate, 1)))
-        sides.append(np.minimum(np.exp2(exponent), MOST).astype(np.int64))
-    return sides[0], sides[1]
-
-
-def splat(patches: np.ndarray, chart: np.ndarray, receivers, threads: int | None = None) -> np.ndarray:
+def splat(
+    patches: np.ndarray,
+    chart: np.ndarray,
+    rough: np.ndarray,
+    receivers,
+    samples: float = SAMPLES,
+    threads: int | None = None,
+) -> np.ndarray:
     """(size², c) float64 W that patches bring to each texel.
 
     patches: (9, m, 2 + c) float32: place in texels and power in W at the 3 × 3 vertices, as if all of the patch were
-    like it. chart: (m,) int32 of each patch, on which its samples are kept.
+    like it. chart: (m,) int32 of each patch, on which its samples are kept. rough: (m,) bool, see `counts`. samples: for
+    each texel, about.
     """
     size = receivers.resolution
-    channels = patches.shape[2] - 2
-    total = np.zeros((channels, size * size))
+    total = np.zeros((patches.shape[2] - 2, size * size))
     if not patches.shape[1]:
         return total.T
-    across, along = counts(patches)
+    grid = patches[:, :, :2].reshape(3, 3, -1, 2)
+    squares = [step * step for step in (grid[1:] - grid[:-1], grid[:, 1:] - grid[:, :-1])]
+    lengths = [2 * np.sqrt(square.sum(axis=-1).max(axis=(0, 1))) for square in squares]
+    across, along = counts(lengths, patches[4, :, 2:].mean(axis=1), rough, samples * size * size)
+    # how far neighbouring samples are apart, along x and y: as wide a box has their parallelogram's variance
+    variance = sum(
+        square.mean(axis=(0, 1)) * (4 / (n * n))[:, None].astype(np.float32)
+        for square, n in zip(squares, (across, along), strict=True)
+    )
     order = np.lexsort((along, across))
     across, along = across[order], along[order]
+    # one number after another: the samples of all patches of a size are one product
+    values = np.ascontiguousarray(patches.transpose(0, 2, 1)[:, :, order])
+    extent = np.clip(np.sqrt(variance), 1e-3, 1)[order]
     starts = np.flatnonzero(np.append(True, (np.diff(across) != 0) | (np.diff(along) != 0)))
     ends = np.append(starts[1:], len(order))
     # as many samples together as make the sum over all texels cheap
     batch = max(BATCH, size * size // 2)
-    tasks, task, samples = [], [], 0
-    for start, end in zip(starts, ends, strict=True):
-        each = int(across[start] * along[start])
+    tasks, task, count = [], [], 0
+    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        na, nb = int(across[start]), int(along[start])
         at = start
         while at < end:
-            stop = min(end, at + max(1, (batch - samples) // each))
-            task.append((int(across[start]), int(along[start]), order[at:stop]))
-            samples += each * (stop - at)
+            stop = min(end, at + max(1, (batch - count) // (na * nb)))
+            task.append((na, nb, slice(at, stop)))
+            count += na * nb * (stop - at)
             at = stop
-            if samples >= batch:
+            if count >= batch:
                 tasks.append(task)
-                task, samples = [], 0
-    tasks.append(task)
+                task, count = [], 0
+    if task:
+        tasks.append(task)
 
     def run(task):
-        parts = [_samples(patches[:, rows], na, nb, chart[rows], receivers) for na, nb, rows in task]
-        x, y, wide, high = (np.concatenate([p[k] for p in parts]) for k in range(4))
-        return _spread(x, y, wide, high, np.concatenate([p[4] for p in parts], axis=1), size)
+        parts = [_samples(values[:, :, part], na, nb, part.start) for na, nb, part in task]
+        x, y, patch = (np.concatenate([p[k] for p in parts]) for k in range(3))
+        wide, high = extent[patch].T
+        kept = _kept(x, y, wide, high, patch, values[0, :2], chart[order], receivers)
+        return _spread(*kept, np.concatenate([p[3] for p in parts], axis=1), size)
 
     # a few at a time: each result is as large as the atlas
     group = 8
     for start in range(0, len(tasks), group):
-        for part in in_threads(run, [t for t in tasks[start : start + group] if t], threads):
+        for part in in_threads(run, tasks[start : start + group], threads):
             total += part
     return total.T
 
 
-def _samples(patches, na, nb, chart, receivers):
-    """x, y, wide, high (n,) and power (c, n) of the sub-samples of patches that have na × nb of them each."""
-    m, columns = patches.shape[1:]
-    weights = _biquadratic(na, nb)
-    values = weights @ np.ascontiguousarray(patches.transpose(0, 2, 1)).reshape(9, -1)
-    values = values.reshape(na * nb, columns, m)
-    x, y = values[:, 0].reshape(-1), values[:, 1].reshape(-1)
-    power = np.ascontiguousarray(values[:, 2:].transpose(1, 0, 2)).reshape(columns - 2, -1) * _F(1 / (na * nb))
-    grid = patches.reshape(3, 3, m, columns)
-    # how far neighbouring samples are apart, along x and y: as wide a box has their parallelogram's variance
-    variance = sum(
-        ((np.diff(grid[..., :2], axis=axis) * _F(2 / n)) ** 2).mean(axis=(0, 1)) for axis, n in ((0, na), (1, nb))
-    )
-    extent = np.clip(np.sqrt(variance), 1e-3, 1)
-    wide, high = (np.tile(extent[:, k], na * nb) for k in (0, 1))
-    return (*_kept(x, y, wide, high, patches, chart, na * nb, receivers), power)
+def counts(lengths, power: np.ndarray, rough: np.ndarray, budget: float) -> tuple[np.ndarray, np.ndarray]:
+    """Sub-samples of patches along their two sides, two (m,) int out of SIDES, some `budget` in all.
+
+    lengths: two (m,) of the sides, in texels. power: (m,) W. rough: (m,) bool, as few as ROUGH will do. What a patch
+    blurs by is its power over its number of samples, so for the least blur in all that number follows the root of its
+    irradiance.
+    """
+    area = np.maximum(lengths[0], 0.25) * np.maximum(lengths[1], 0.25)
+    wanted = np.sqrt(np.sqrt(np.maximum(power, 0) / area))
+    least = np.where(rough, ROUGH, FEWEST)
+    low, high = 0.0, MOST / max(float(wanted.max()), 1e-30) * 64
+    for _ in range(16):
+        middle = (low + high) / 2
+        rate = np.clip(wanted * middle, least, MOST)
+        low, high = (low, middle) if float((area * rate * rate).sum()) > budget else (middle, high)
+    rate = np.clip(wanted * low, least, MOST)
+    return tuple(SIDES[np.minimum(np.searchsorted(SIDES, length * rate * 0.999), len(SIDES) - 1)] for length in lengths)
 
 
-def _kept(x, y, wide, high, patches, chart, each, receivers):
-    """The same samples, those near a chart's border kept on their patch's own chart."""
+def _samples(values, na, nb, first):
+    """x, y (n,), patch (n,) and power (c, n) of the sub-samples of patches that have na × nb of them each."""
+    columns, m = values.shape[1:]
+    found = _biquadratic(na, nb) @ values.reshape(9, -1)
+    found = found.reshape(na * nb, columns, m).transpose(1, 0, 2)
+    patch = np.tile(np.arange(first, first + m), na * nb)
+    # a parabola between photons may dip below nothing
+    power = np.maximum(found[2:].reshape(columns - 2, -1), 0) * _F(1 / (na * nb))
+    return found[0].reshape(-1), found[1].reshape(-1), patch, power
+
+
+def _kept(x, y, wide, high, patch, start, chart, receivers):
+    """x, y, wide and high of the same samples, those near a chart's border kept on their patch's own chart.
+
+    start: (2, m) place of each patch's first photon.
+    """
     size = receivers.resolution
     texel = _texel(x, y, size)
     outer = np.flatnonzero(~receivers.inner[texel])
     if not len(outer):
         return x, y, wide, high
     x, y, wide, high = x.copy(), y.copy(), wide.copy(), high.copy()
-    patch = outer % len(chart)
+    patch = patch[outer]
     mine = chart[patch]
     # what lies off the chart: back to the texel beside it, or somewhere between there and the patch's first photon
     off = receivers.owner(texel[outer]) != mine
     if off.any():
-        rows, patch, mine_off = outer[off], patch[off], mine[off]
+        rows, own = outer[off], mine[off]
         near = receivers.fill[texel[rows]]
         apart = np.maximum(np.abs(near % size - texel[rows] % size), np.abs(near // size - texel[rows] // size))
-        beside = (near >= 0) & (apart <= 1) & (receivers.owner(np.maximum(near, 0)) == mine_off)
-        fx, fy = patches[0, patch, 0], patches[0, patch, 1]
+        beside = (near >= 0) & (apart <= 1) & (receivers.owner(np.maximum(near, 0)) == own)
+        fx, fy = start[:, patch[off]]
         part = (rows * GOLDEN % 1).astype(np.float32)
         bx, by = fx + (x[rows] - fx) * part, fy + (y[rows] - fy) * part
-        kept = receivers.owner(_texel(bx, by, size)) == mine_off
+        kept = receivers.owner(_texel(bx, by, size)) == own
         x[rows] = np.where(beside, near % size + _F(0.5), np.where(kept, bx, fx))
         y[rows] = np.where(beside, near // size + _F(0.5), np.where(kept, by, fy))
     spills = np.zeros(len(outer), bool)

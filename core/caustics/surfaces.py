@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..rays import Bvh, Transmission
-from ..scene import Scene
+from ..scene import Light, Scene
 from .casters import Casters
-from .emission import bounding_points
+from .emission import bounding_points, extreme_points
 from .groups import smooth_groups
 
 LANDS, PASSES, BENDS = 0, 1, 2
@@ -53,15 +53,19 @@ class Surfaces:
         self._bounds = {}
         for k in self.casters.tolist():
             own = corners[owner == k]
-            self._bounds[k] = bounding_points(own, 0.05 * float(np.ptp(own.reshape(-1, 3), axis=0).max()))
+            places = bounding_points(own, 0.05 * float(np.ptp(own.reshape(-1, 3), axis=0).max()))
+            self._bounds[k] = places, extreme_points(places)
         self.extent = scene.extent
         # float32 steps grow with the distance from the origin
-        sizes = [float(np.ptp(places, axis=0).max()) for places in self._bounds.values()]
+        sizes = [float(np.ptp(places, axis=0).max()) for places, _ in self._bounds.values()]
         self.offset = np.float32(4e-7 * np.abs(scene.positions).max(initial=0.0) + 1e-6 * min(sizes))
 
-    def bounding(self, caster: int) -> np.ndarray:
-        """(n, 3) float32 places that bound a caster as lamps see it, m."""
-        return self._bounds[int(caster)]
+    def bounding(self, caster: int, light: Light) -> np.ndarray:
+        """(n, 3) float32 places that bound a caster as a lamp sees it, m: few where the lamp is not near."""
+        places, few = self._bounds[int(caster)]
+        low, high = few.min(axis=0), few.max(axis=0)
+        near = np.linalg.norm(light.position - (low + high) / 2) < 2 * np.linalg.norm(high - low)
+        return places if near and light.kind != "SUN" else few
 
     def shape(self, triangle: np.ndarray) -> np.ndarray:
         """(21, n) float32 of triangles (n,) that bend light: first corner, two edges, normal there and its two

@@ -60,20 +60,21 @@ def trace(
     first: np.ndarray,
     family: np.ndarray,
     threads: int | None = None,
+    bounces: int = BOUNCES,
 ) -> Landed:
     """Follow photons. origins, directions: (3, n) float32, m and unit. first: (n,) int32 object that each must meet
     before any other surface. family: (n,) int64."""
     count = origins.shape[1]
     pieces = [slice(s, min(s + CHUNK, count)) for s in range(0, max(count, 1), CHUNK)]
     parts = in_threads(
-        lambda p: _follow(surfaces, origins[:, p], directions[:, p], first[p], family[p]), pieces, threads
+        lambda p: _follow(surfaces, origins[:, p], directions[:, p], first[p], family[p], bounces), pieces, threads
     )
     if len(parts) == 1:
         return parts[0]
     return Landed(*(np.concatenate([getattr(p, name) for p in parts], axis=-1) for name in Landed.__dataclass_fields__))
 
 
-def _follow(s: Surfaces, o, d, first, family) -> Landed:
+def _follow(s: Surfaces, o, d, first, family, bounces) -> Landed:
     n = len(first)
     c = s.channels
     result = Landed(
@@ -87,7 +88,7 @@ def _follow(s: Surfaces, o, d, first, family) -> Landed:
     power = np.ones((c, n), np.float32)
     mask, splits, path = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)
     met = np.zeros(n, bool)
-    for _ in range(BOUNCES):
+    for _ in range(bounces):
         if not len(rows):
             break
         hits = s.bvh.hits(np.ascontiguousarray(o.T), np.ascontiguousarray(d.T))

@@ -37,8 +37,13 @@ def reference(name: str, surfaces: Surfaces, receivers: Receivers, light: Light,
 
 
 def points(
-    surfaces: Surfaces, receivers: Receivers, light: Light, photons: float, seed: int, stratified: bool = True,
-    spread: Callable = None,
+    surfaces: Surfaces,
+    receivers: Receivers,
+    light: Light,
+    photons: float,
+    seed: int,
+    stratified: bool = True,
+    spread: Callable | None = None,
 ) -> np.ndarray:
     """(resolution², c) float64 W that point photons bring to each texel. spread: how a photon is shared by texels,
     (sums, x, y, power) → None; None: it goes to its own.
@@ -50,10 +55,10 @@ def points(
     total = np.zeros((surfaces.channels, size * size))
     trees = []
     for caster in surfaces.casters.tolist():
-        for emitter in emitters(light, surfaces.bounding(caster), 1, 0, surfaces.extent):
+        for emitter in emitters(light, surfaces.bounding(caster, light), 1, 0, surfaces.extent):
             trees += [(emitter, caster, int(f)) for f in families(surfaces, emitter, caster)]
     for emitter, caster, family in trees:
-        side = max(2, int(round(np.sqrt(photons / len(trees)))))
+        side = max(2, round(np.sqrt(photons / len(trees))))
         for start in range(0, side * side, BATCH):
             cell = np.arange(start, min(start + BATCH, side * side))
             s, t = random.random((2, len(cell)))

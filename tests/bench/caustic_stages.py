@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from lightpanes.core.scene import Light, Material, Optics, Scene
 
-from ..core.caustic_scenes import ball, floor, glass, staged
+from ..core.caustic_scenes import ball, floor, glass, lathe, staged
+from ..core.caustic_scenes import lens as make_lens
 from ..core.shapes import GREY, lamp
 
 GOLD = Material("Gold", (0, 0, 0), optics=Optics(mirror=(0.9, 0.9, 0.9), mirror_edge=(1, 1, 1)))
@@ -15,39 +16,10 @@ GOLD = Material("Gold", (0, 0, 0), optics=Optics(mirror=(0.9, 0.9, 0.9), mirror_
 
 @dataclass(frozen=True)
 class Stage:
-    """scene, and its lamp. cycles: path tracing needs a lamp with a size; of which radius, m."""
+    """A scene and its lamp."""
 
     scene: Scene
     lamp: Light
-
-
-def lathe(profile, turns: int, name: str, material: int = 1, smooth: float = 0.7):
-    """A surface of revolution about z: `profile` (n, 2) radius and height, closed if its ends meet. Edges of the profile
-    that turn by more than `smooth` rad stay hard."""
-    profile = np.asarray(profile, float)
-    angle = np.linspace(0, 2 * np.pi, turns, endpoint=False)
-    points, triangles, normals, count = [], [], [], 0
-    step = np.diff(profile, axis=0)
-    across = np.stack([step[:, 1], -step[:, 0]], 1)
-    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-30)
-    for k in range(len(step)):
-        ends = []
-        for end, beside in ((k, k - 1), (k + 1, k + 1)):
-            normal = across[k]
-            wraps = np.allclose(profile[0], profile[-1])
-            if 0 <= beside < len(step) or wraps:
-                other = across[beside % len(step)]
-                if other @ normal > np.cos(smooth):
-                    normal = (normal + other) / np.linalg.norm(normal + other)
-            ends.append((profile[end], normal))
-        for (radius, height), (out, up) in ends:
-            points.append(np.stack([radius * np.cos(angle), radius * np.sin(angle), 0 * angle + height], 1))
-            normals.append(np.stack([out * np.cos(angle), out * np.sin(angle), 0 * angle + up], 1))
-        low, high = count + np.arange(turns), count + turns + np.arange(turns)
-        triangles.append(np.stack([low, np.roll(low, -1), np.roll(high, -1)], 1))
-        triangles.append(np.stack([low, np.roll(high, -1), high], 1))
-        count += 2 * turns
-    return name, np.concatenate(points), np.concatenate(triangles), None, np.concatenate(normals), material
 
 
 def sphere() -> Stage:
@@ -56,18 +28,10 @@ def sphere() -> Stage:
     return Stage(staged(floor(), ball((0, 0, 0.72), 0.4, 192), materials=(GREY, glass()), lights=[light]), light)
 
 
-def lens_profile(radius: float, aperture: float, edge: float, height: float, pieces: int = 64) -> np.ndarray:
-    """A plano-convex lens, its flat side down at `height`: its section from the axis below round to the axis above."""
-    turn = np.linspace(np.arcsin(aperture / radius), 0, pieces)
-    arc = np.stack([radius * np.sin(turn), radius * np.cos(turn)], 1)
-    arc[:, 1] += height + edge - arc[0, 1]
-    return np.concatenate([[(1e-6, height), (aperture, height)], arc[:-1], [(1e-6, arc[-1, 1])]])
-
-
 def lens() -> Stage:
     """A plano-convex lens above the floor, which stands before the focus."""
     light = lamp((0.1, 0.05, 2.6))
-    part = lathe(lens_profile(0.8, 0.4, 0.02, 0.7), 256, "Lens")
+    part = make_lens(0.8, 0.4, 0.02, 0.7, 256)
     return Stage(staged(floor(), part, materials=(GREY, glass()), lights=[light]), light)
 
 

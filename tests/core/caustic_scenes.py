@@ -71,3 +71,58 @@ def floor_places(resolution: int, side: float = 2.0) -> tuple[np.ndarray, np.nda
     x, y = np.meshgrid(at, at)
     place = (np.stack([x, y], -1) - 0.05) / 0.9
     return (place - 0.5) * side, ((place > 0) & (place < 1)).all(axis=-1)
+
+
+def lens(radius: float, aperture: float, edge: float, height: float, turns: int = 192, pieces: int = 64):
+    """A plano-convex lens about the z axis, its flat side down at `height`."""
+    turn = np.linspace(np.arcsin(aperture / radius), 0, pieces)
+    arc = np.stack([radius * np.sin(turn), radius * np.cos(turn)], 1)
+    arc[:, 1] += height + edge - arc[0, 1]
+    flat = [(1e-7, height), (aperture, height)]
+    return lathe(np.concatenate([flat, arc[:-1], [(1e-7, arc[-1, 1])]]), turns, "Lens")
+
+
+def band(radius: float, tall: float, turns: int = 512, material: int = 1):
+    """The inside of a cylinder that stands on z = 0: a sheet."""
+    return lathe([(radius, 0.0), (radius, tall)], turns, "Band", material)
+
+
+def lathe(profile, turns: int, name: str, material: int = 1, smooth: float = 0.7):
+    """A surface of revolution about z: `profile` (n, 2) radius and height, anticlockwise seen from outside, closed if its
+    ends meet. Edges of the profile that turn by more than `smooth` rad stay hard."""
+    profile = np.asarray(profile, float)
+    angle = np.linspace(0, 2 * np.pi, turns, endpoint=False)
+    step = np.diff(profile, axis=0)
+    across = np.stack([step[:, 1], -step[:, 0]], 1)
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-30)
+    wraps = np.allclose(profile[0], profile[-1])
+    points, triangles, normals, count = [], [], [], 0
+    for k in range(len(step)):
+        for end, beside in ((k, k - 1), (k + 1, k + 1)):
+            normal = across[k]
+            if 0 <= beside < len(step) or wraps:
+                other = across[beside % len(step)]
+                if other @ normal > np.cos(smooth):
+                    normal = (normal + other) / np.linalg.norm(normal + other)
+            (radius, height), (out, up) = profile[end], normal
+            points.append(np.stack([radius * np.cos(angle), radius * np.sin(angle), 0 * angle + height], 1))
+            normals.append(np.stack([out * np.cos(angle), out * np.sin(angle), 0 * angle + up], 1))
+        low, high = count + np.arange(turns), count + turns + np.arange(turns)
+        triangles.append(np.stack([low, np.roll(low, -1), np.roll(high, -1)], 1))
+        triangles.append(np.stack([low, np.roll(high, -1), high], 1))
+        count += 2 * turns
+    return name, np.concatenate(points), np.concatenate(triangles), None, np.concatenate(normals), material
+
+
+def within(mask, margin: int = 2):
+    """Texels of a mask that are more than `margin` from its border."""
+    for axis in (0, 1):
+        for step in range(-margin, margin + 1):
+            mask = mask & np.roll(mask, step, axis)
+    return mask
+
+
+def closed(energy) -> float:
+    """What all parts of the light sum up to, over what was emitted."""
+    parts = energy.landed + energy.absorbed + energy.escaped + energy.missed + energy.untraced
+    return parts / energy.emitted
