@@ -15,10 +15,10 @@ import bpy
 
 from ..core.bake import Cancelled, Kept, Progress, Settings, bake
 from ..core.panes import Relighter
-from ..core.rays import Tracer
 from ..core.scene import SceneError
 from . import (
     atlas,
+    caustics,
     claims,
     direct,
     environment,
@@ -94,6 +94,7 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         surfaces = extract.extract(context, resolution=settings.resolution, loops=loops, atlas=unfolded)
     found, world = extract.fingerprint(context), environment.digest(scene.world)
     lit = direct.ask_now(context) if asked.direct == "BAKED" else None
+    focused = caustics.ask_of(scene, surfaces)
 
     def work(progress):
         def told(now):
@@ -106,13 +107,14 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         # what is kept stays as it is
         result = replace(result, meta=copy.deepcopy(result.meta))
         points.remember(result, surfaces)
-        tracer = Tracer(surfaces)
+        tracer = caustics.make_tracer(surfaces)
         relighter = Relighter(result.panes(), tracer)
         shown = None if lit is None else direct.make_atlas(relighter.panes, surfaces, tracer, lit)
-        return result, relighter, shown, store.key_of(result)
+        traced = None if focused is None else caustics.trace(relighter.panes, surfaces, focused)
+        return result, relighter, shown, traced, store.key_of(result)
 
     del scene, asked, objects, at_vertices, making, unfolded
-    result, relighter, shown, key = yield Work(work, alone=True)
+    result, relighter, shown, traced, key = yield Work(work, alone=True)
     scene = context.scene
     report = result.meta["report"]
     yield Progress("Storing", BAKED, report["rays"])
@@ -160,11 +162,15 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         store.write_meta(scene, result.meta)
         if shown is not None:
             direct.adopt(scene, shown, result.meta["fingerprint"])
+        caustics.adopt(scene, traced, result.meta["fingerprint"])
     yield from ending.turn(0.99)
     report["relight_ms"] = round(relight.relight(context), 2)
     if direct.is_baked(scene):
         report["direct_ms"] = round(direct.held(scene).milliseconds, 2)
         report["warnings"] += direct.sentences(scene)
+    if (told := caustics.report(scene)) is not None:
+        report["caustics"] = told
+        report["warnings"] += [w for w in caustics.sentences(scene) if w not in report["warnings"]]
     yield from ending.turn(0.995)
     relight.pack()
     report["total_seconds"] = round(time.perf_counter() - start, 3)
@@ -199,7 +205,6 @@ def clear_scene(context: bpy.types.Context) -> bool:
     twice.give_back(scene)
     linking.give_back(scene)
     relight.forget(scene)
-    direct.forget(scene)
     found = store.clear(scene)
     _clear_atlas(scene)
     return found

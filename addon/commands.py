@@ -23,7 +23,7 @@ from ..core.files import replacing
 from ..core.planner import EXITS
 from ..core.rays import EngineError
 from ..core.scene import SceneError
-from . import baking, beside, colours, direct, operators, relight, sequence, store
+from . import baking, beside, caustics, colours, direct, operators, relight, sequence, store
 from .colours import KINDS
 
 OK, BAD_INPUT, INTERRUPTED = 0, 2, 130
@@ -80,6 +80,9 @@ def _parser(opened: bool) -> argparse.ArgumentParser:
     bake.add_argument("--exits", choices=EXITS, help="where light is gathered (auto: points where that is less work)")
     bake.add_argument(
         "--direct", choices=("off", "baked"), help="the lamps' direct light: the engine's, or baked (the scene's)"
+    )
+    bake.add_argument(
+        "--caustics", choices=("off", "on"), help="the lamps' light that glass and metal focus (the scene's)"
     )
     bake.add_argument("--seed", type=_number(0, 2**31 - 1, int), metavar="N", help="seed of all random numbers (0)")
     bake.add_argument(
@@ -154,6 +157,7 @@ def _bake(options) -> int:
         ("resolution", options.resolution),
         ("exits", options.exits and options.exits.upper()),
         ("direct", options.direct and options.direct.upper()),
+        ("caustics", options.caustics and options.caustics == "on"),
         ("seed", options.seed),
         ("storage", options.storage and options.storage.upper()),
     ):
@@ -176,13 +180,19 @@ def _relight(options) -> int:
         bpy.context.scene.frame_set(options.frame)
     milliseconds = relight.relight(bpy.context)
     stale = list(relight.session(bpy.context.scene).stale)
-    told = direct.sentences(bpy.context.scene) if direct.is_baked(bpy.context.scene) else []
+    scene = bpy.context.scene
+    focused = caustics.report(scene)
+    told = direct.sentences(scene) if direct.is_baked(scene) else []
+    told += [each for each in (caustics.sentences(scene) if focused else []) if each not in told]
     for sentence in stale + told:
         _say(options, f"Warning: {sentence}")
     save_blend(target)
     report = {**context_of(path), "relight_ms": round(milliseconds, 2), "stale": stale, "file": str(target)}
     if direct.is_baked(bpy.context.scene):
         report["direct_ms"] = round(direct.held(bpy.context.scene).milliseconds, 2)
+    if focused:
+        report["caustics"] = focused
+    if focused or direct.is_baked(scene):
         report["warnings"] = told
     _finish(options, path, target, report)
     _say(options, f"Relit in {milliseconds:.1f} ms. Wrote {target}")
@@ -216,6 +226,9 @@ def _info(options) -> int:
     for key, value in report.items():
         if not isinstance(value, (dict, list)):
             _say(options, f"  {key}: {value}")
+    if "caustics" in report:
+        found = report["caustics"]
+        _say(options, f"  caustics of {', '.join(found['casters'])}: {found['photons']} photons a lamp")
     for sentence in stale + report.get("warnings", []):
         _say(options, f"  Warning: {sentence}")
     try:
@@ -335,17 +348,22 @@ def save_blend(target: Path) -> None:
 
 
 def _finish(options, path: Path, target: Path, report: dict) -> None:
-    """The report, and with --output also the irradiance, and the direct light where it is baked, as OpenEXR files."""
+    """The report, and with --output also the irradiance, and direct light and caustics where the bake has them, as
+    OpenEXR files."""
     if options.output is not None:
         scene = bpy.context.scene
         for role, word in (
             (store.IRRADIANCE, "irradiance"),
             *([(store.DIRECT, "direct")] if direct.is_baked(scene) else []),
+            *([(store.CAUSTICS, "caustics")] if store.find_image(scene, store.CAUSTICS) is not None else []),
         ):
             image = store.find_image(scene, role)
             picture = target.with_name(f"{target.stem}_{word}.exr")
             _replacing(picture, lambda place, image=image: image.save(filepath=str(place), save_copy=True))
-            report[word] = str(picture)
+            if word == "caustics":
+                report.setdefault(word, {})["image"] = str(picture)
+            else:
+                report[word] = str(picture)
         summary = target.with_name(f"{target.stem}_report.json")
         _replacing(summary, lambda place: place.write_text(json.dumps(report, indent=2) + "\n", "utf-8"))
     _write_report(options, report)
@@ -378,6 +396,8 @@ def _settings(asked) -> dict:
         "resolution": asked.resolution,
         "exits": asked.exits.lower(),
         "direct": asked.direct.lower(),
+        "caustics": asked.caustics,
+        "photons": asked.photons,
         "seed": asked.seed,
     }
 

@@ -1,17 +1,14 @@
 """The lamps' direct light in `Lightpanes Direct`, where the scene asks for it: its soft shadows follow the lamps, too.
 
-In full wherever somebody waits for it: renders, frames, saving, scripts. In a window a lamp that is dragged is followed
-beside Blender's own work, coarsely until it rests, so that the indirect light, which is quicker, need not wait.
+How it follows them, coarsely or in full, is `live_image`'s.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import threading
-import time
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -21,27 +18,16 @@ from ..core.panes import Panes
 from ..core.penumbra import samples_for
 from ..core.rays import Tracer
 from ..core.scene import Light, Scene, SceneError
-from . import areas, claims, extract, linking, nodes, store, vertices, waiting
+from . import claims, linking, live_image, nodes, store, vertices
 from .lamps import lamp_key, read_lights
+from .live_image import PACKED, SURFACES, LiveImage, lock
 from .meshes import AT_VERTICES
 
-REST = 0.2
-"""Seconds without a change after which a lamp counts as put down."""
-
-QUICK = 0.05
-"""Seconds that a coarse image may take without a pause after it, which leaves time to the indirect light."""
-
-TICK = 0.01
-"""Seconds between two looks at what works beside Blender."""
-
-# On `Lightpanes Direct`: keys of the lamps and of the surfaces that its packed pixels show, and the names of these lamps'
-# objects.
-PACKED = "lightpanes_lamps"
-SURFACES = "lightpanes_surfaces"
-OWNERS = "lightpanes_owners"
-
 Read = Callable[[], tuple[Panes, Scene, Tracer]]
-"""The bake's panes, and the scene's surfaces as they are now."""
+"""The bake's panes, and the scene's surfaces as they are now, with their shadow rays."""
+
+# On `Lightpanes Direct`: the names of the objects of the lamps that it shows.
+OWNERS = "lightpanes_owners"
 
 
 @dataclass(frozen=True)
@@ -55,80 +41,52 @@ class Asked:
 
 
 @dataclass
-class Held:
-    """What is known about one scene's direct light while Blender runs.
+class Held(live_image.Held):
+    """linked: what `link` last went by. left_out: sentences about lamps that the image does not show."""
 
-    bake: key of its bake. surfaces: key of the shapes that the image shows, "" where that is not known. shown: key of what the image shows in
-    full, coarse: coarsely. linked: what `link` last went by. since: when what is asked for last changed; pause: until when
-    nothing coarse is begun.
-    """
-
-    bake: str
-    shown: str = ""
-    coarse: str = ""
-    atlas: DirectAtlas | None = None
-    surfaces: str = ""
     linked: tuple = ()
     left_out: tuple[str, ...] = ()
-    milliseconds: float = 0.0
-    error: str = ""
-    asked: Asked | None = None
-    since: float = 0.0
-    pause: float = 0.0
-    work: _Work | None = None
 
 
-@dataclass
-class _Work:
-    """One image, made beside Blender's own work."""
+class _Direct(LiveImage):
+    role = store.DIRECT
+    held_as = Held
 
-    asked: Asked
-    full: bool
-    atlas: DirectAtlas
-    image: np.ndarray | None = None
-    error: str = ""
-    seconds: float = 0.0
-    thread: threading.Thread = field(init=False)
+    def is_baked(self, scene):
+        return is_baked(scene)
 
-    def __post_init__(self):
-        self.thread = threading.Thread(target=self._run, daemon=True)
-        self.thread.start()
+    def begin(self, scene):
+        begin(scene)
 
-    def _run(self):
-        begin = time.perf_counter()
-        try:
-            make = self.atlas.image if self.full else self.atlas.coarse
-            self.image = make(self.asked.lights, self.asked.samples)
-        except SceneError as error:
-            self.error = str(error)
-        self.seconds = time.perf_counter() - begin
+    def make_atlas(self, panes, surfaces, tracer):
+        return make_atlas(panes, surfaces, tracer)
+
+    def images(self, atlas, asked, full) -> Iterator[np.ndarray]:
+        yield (atlas.image if full else atlas.coarse)(asked.lights, asked.samples)
+
+    def show(self, scene, mine, asked, image, full):
+        store.write_image(scene, store.DIRECT, _with_steady(scene, image))
+        shown = store.find_image(scene, store.DIRECT)
+        if shown.get(OWNERS) != (names := json.dumps(asked.owners)):
+            shown[OWNERS] = names
+        # objects may have come or gone; while a lamp is dragged the same ones are taken to be there
+        if full or mine.linked != _basis(scene, asked.owners):
+            link(scene)
+
+    def undone(self):
+        super().undone()
+        for mine in self._held.values():
+            mine.linked = ()
 
 
-_held: dict[int, Held] = {}
-# renders run frame changes outside the main thread
-_lock = threading.RLock()
+_image = _Direct()
+held, forget, adopt = _image.held, _image.forget, _image.adopt
+finish, note_packed, look_again = _image.finish, _image.note_packed, _image.look_again
 
 
 def is_baked(scene: bpy.types.Scene) -> bool:
     """Whether the scene has a bake and wants the lamps' direct light in it."""
     return scene.lightpanes.direct == "BAKED" and store.find_entries(scene) is not None
-
-
-def held(scene: bpy.types.Scene) -> Held:
-    """What is known about the scene, which has a bake. Another bake starts anew."""
-    key = store.bake_key(scene)
-    found = _held.get(scene.session_uid)
-    if found is None or found.bake != key:
-        image = store.find_image(scene, store.DIRECT)
-        packed = image is not None and not image.is_dirty and image.get(PACKED)
-        found = Held(key, shown=packed or "", surfaces=image.get(SURFACES, "") if packed else "")
-        _held[scene.session_uid] = found
-    return found
-
-
-def forget(scene: bpy.types.Scene) -> None:
-    """Drop what was worked out."""
-    _held.pop(scene.session_uid, None)
 
 
 def make_atlas(panes: Panes, surfaces: Scene, tracer: Tracer, asked: Asked | None = None) -> DirectAtlas:
@@ -143,17 +101,18 @@ def make_atlas(panes: Panes, surfaces: Scene, tracer: Tracer, asked: Asked | Non
     return atlas
 
 
+def forget_surfaces(scene: bpy.types.Scene) -> None:
+    """Glass lets other light pass now."""
+    with lock:
+        if (mine := _image.known(scene)) is not None:
+            _image.drop_atlas(mine)
+
+
 def ask_now(context: bpy.types.Context) -> Asked:
     """What a bake of the context's scene is going to show."""
     owners: dict[str, bpy.types.Object] = {}
     lights = read_lights(context.evaluated_depsgraph_get(), [], owners)
     return ask(context.scene, lights, (), owners)[0]
-
-
-def adopt(scene: bpy.types.Scene, atlas: DirectAtlas, fingerprint: dict[str, str]) -> None:
-    """Use what a bake has just made of these surfaces (`extract.fingerprint`)."""
-    mine = held(scene)
-    mine.atlas, mine.surfaces = atlas, _surfaces(fingerprint)
 
 
 def begin(scene: bpy.types.Scene) -> None:
@@ -179,7 +138,7 @@ def begin(scene: bpy.types.Scene) -> None:
 def end(scene: bpy.types.Scene) -> None:
     """Leave the lamps' direct light to the engine again; the bake's images are then as they were baked."""
     linking.give_back(scene)
-    with _lock:
+    with lock:
         forget(scene)
     image = store.find_image(scene, store.DIRECT)
     if store.find_entries(scene) is None or image is None:
@@ -237,7 +196,7 @@ def update(
     at_once: in full before this returns; else soon, coarsely first. Raises SceneError where it can't be shown.
     """
     what, left_out = asked
-    with _lock:
+    with lock:
         mine = held(scene)
         mine.left_out = left_out
         if what.key == mine.shown and store.find_image(scene, store.DIRECT) is not None:
@@ -245,18 +204,7 @@ def update(
             if mine.linked != _basis(scene, what.owners):
                 link(scene)
             return False
-        begin(scene)
-        _make_atlas(context, mine, read)
-        if at_once:
-            _settle(mine)
-            started = time.perf_counter()
-            image = mine.atlas.image(what.lights, what.samples)
-            _show(scene, mine, what, image, full=True)
-            mine.milliseconds, mine.asked = 1000 * (time.perf_counter() - started), None
-        elif mine.asked is None or mine.asked.key != what.key:
-            mine.asked, mine.since = what, time.perf_counter()
-            if not bpy.app.timers.is_registered(_look):
-                bpy.app.timers.register(_look, first_interval=0.0)
+        _image.bring(context, scene, what, read, at_once)
         return True
 
 
@@ -264,51 +212,8 @@ def values(
     context: bpy.types.Context, scene: bpy.types.Scene, asked: tuple[Asked, tuple[str, ...]], read: Read
 ) -> np.ndarray:
     """(H, W, 3) float32 W/m²: what `update` would show, without showing it."""
-    with _lock:
-        mine = held(scene)
-        begin(scene)
-        _make_atlas(context, mine, read)
-        _settle(mine)
-        image = mine.atlas.image(asked[0].lights, asked[0].samples)
-        return _with_steady(scene, image)[..., :3]
-
-
-def finish(scene: bpy.types.Scene) -> None:
-    """Show in full what is shown coarsely or about to be."""
-    with _lock:
-        mine = _held.get(scene.session_uid)
-        if mine is None or mine.asked is None or mine.atlas is None or not is_baked(scene):
-            return
-        what = mine.asked
-        _settle(mine)
-        _show(scene, mine, what, mine.atlas.image(what.lights, what.samples), full=True)
-
-
-def note_packed(scene: bpy.types.Scene) -> None:
-    """Before images are packed: say which lamps and surfaces they show."""
-    image, mine = store.find_image(scene, store.DIRECT), _held.get(scene.session_uid)
-    if image is not None and mine is not None and image.is_dirty:
-        image[PACKED], image[SURFACES] = mine.shown, mine.surfaces
-
-
-def look_again(scene: bpy.types.Scene, fingerprint: dict[str, str]) -> bool:
-    """After surfaces may have changed: True where the image shows others than these (`extract.fingerprint`)."""
-    with _lock:
-        mine = held(scene) if is_baked(scene) else None
-        if mine is None or mine.surfaces in ("", _surfaces(fingerprint)):
-            return False
-        _settle(mine)
-        mine.atlas, mine.asked, mine.surfaces, mine.shown, mine.coarse = None, None, "", "", ""
-        return True
-
-
-def undone() -> None:
-    """After undo an image may show anything."""
-    with _lock:
-        for mine in _held.values():
-            _settle(mine)
-            mine.shown = mine.coarse = mine.error = ""
-            mine.linked, mine.asked = (), None
+    with lock:
+        return _with_steady(scene, _image.value(context, scene, asked[0], read))[..., :3]
 
 
 def link(scene: bpy.types.Scene) -> None:
@@ -325,13 +230,13 @@ def link(scene: bpy.types.Scene) -> None:
         linking.keep_off(
             scene, lamps, [item for item in objects if AT_VERTICES not in item and nodes.shows(item, scene)]
         )
-    if scene.session_uid in _held:
-        _held[scene.session_uid].linked = _basis(scene, names)
+    if (mine := _image.known(scene)) is not None:
+        mine.linked = _basis(scene, names)
 
 
 def sentences(scene: bpy.types.Scene) -> list[str]:
     """What the user should know about the scene's direct light."""
-    mine = _held.get(scene.session_uid)
+    mine = _image.known(scene)
     told = [mine.error] * bool(mine.error) + list(mine.left_out) if mine is not None else []
     lit = sorted(item.name for item in vertices.lit(scene))
     if lit:
@@ -349,103 +254,9 @@ def _basis(scene, names) -> tuple:
     return scene.render.engine, scene.lightpanes.cycles, names
 
 
-def _surfaces(fingerprint) -> str:
-    return hashlib.blake2b(repr(sorted(fingerprint.items())).encode(), digest_size=8).hexdigest()
-
-
-def _make_atlas(context, mine: Held, read: Read) -> None:
-    if mine.atlas is not None:
-        return
-    _settle(mine)
-    panes, surfaces, tracer = read()
-    mine.surfaces = _surfaces(extract.fingerprint(context))
-    mine.atlas = make_atlas(panes, surfaces, tracer)
-
-
-def _show(scene, mine: Held, what: Asked, image: np.ndarray, full: bool) -> None:
-    store.write_image(scene, store.DIRECT, _with_steady(scene, image))
-    shown = store.find_image(scene, store.DIRECT)
-    if shown.get(OWNERS) != (names := json.dumps(what.owners)):
-        shown[OWNERS] = names
-    mine.coarse, mine.error = what.key, ""
-    mine.shown = what.key if full else ""
-    if full and mine.asked is not None and mine.asked.key == what.key:
-        mine.asked = None
-    # objects may have come or gone; while a lamp is dragged the same ones are taken to be there
-    if full or mine.linked != _basis(scene, what.owners):
-        link(scene)
-
-
 def _with_steady(scene, image: np.ndarray) -> np.ndarray:
     """The image, (H, W, 4), with what sky and emissive faces bring added in place."""
     steady = store.read_image(scene, store.STEADY)
     if steady is not None:
         image[..., :3] += steady[..., :3]
     return image
-
-
-def _settle(mine: Held) -> None:
-    """Wait for what works beside Blender, and drop it."""
-    if mine.work is not None:
-        mine.work.thread.join()
-    mine.work = None
-
-
-def _look() -> float | None:
-    """A timer: take up what is done, and begin what comes next. Returns seconds to its next call, None for never."""
-    if waiting.renders() or not _lock.acquire(blocking=False):
-        return REST
-    try:
-        scenes = {scene.session_uid: scene for scene in bpy.data.scenes}
-        open_ones = [
-            _step(scenes[uid], mine) for uid, mine in list(_held.items()) if uid in scenes and is_baked(scenes[uid])
-        ]
-        return TICK if any(open_ones) else None
-    finally:
-        _lock.release()
-
-
-def _step(scene, mine: Held) -> bool:
-    """Whether there is more to wait for."""
-    work = mine.work
-    if work is not None:
-        if work.thread.is_alive():
-            return True
-        mine.work = None
-        mine.pause = time.perf_counter() + max(work.seconds - QUICK, 0)
-        if mine.asked is not None and work.atlas is mine.atlas and mine.bake == store.bake_key(scene):
-            _take(scene, mine, work)
-    if mine.asked is None or mine.atlas is None:
-        return False
-    now = time.perf_counter()
-    rests = now - mine.since >= REST
-    if rests or (mine.coarse != mine.asked.key and now >= mine.pause):
-        mine.work = _Work(mine.asked, rests, mine.atlas)
-    return True
-
-
-def _take(scene, mine: Held, work: _Work) -> None:
-    """Show what was made, or say why it wasn't."""
-    error = work.error
-    if work.image is not None:
-        try:
-            _show(scene, mine, work.asked, work.image, work.full)
-        except SceneError as reason:
-            error = str(reason)
-        mine.milliseconds = 1000 * work.seconds
-    else:
-        mine.asked = None
-    if error:
-        mine.error, mine.asked = error, None
-        print(f"Lightpanes: {error}")
-    areas.redraw_panel()
-
-
-def stop() -> None:
-    """Forget everything, as when another file is opened."""
-    with _lock:
-        for mine in _held.values():
-            _settle(mine)
-        _held.clear()
-    if bpy.app.timers.is_registered(_look):
-        bpy.app.timers.unregister(_look)

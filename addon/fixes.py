@@ -288,6 +288,18 @@ def _cycles_fast_gi(context, _obstacle):
     former.change(context.scene, "cycles.use_fast_gi", False)
 
 
+def _cycles_caustics(context, _obstacle):
+    # what they were before Show in Cycles is remembered by the setting itself
+    cycles = context.scene.cycles
+    cycles.caustics_reflective = cycles.caustics_refractive = False
+
+
+def _shadow_caustics(context, obstacle):
+    for item in _objects(context, obstacle):
+        if item.data.library is None and item.library is None:
+            former.change(item, "data.cycles.is_caustics_light", False)
+
+
 # Each returns what it could not mend, if anything; it raises SceneError only where it has changed nothing.
 FIXES: dict[str, Callable[[bpy.types.Context, Obstacle], list[str] | None]] = {
     "ALL_HIDDEN": _show,
@@ -313,6 +325,8 @@ FIXES: dict[str, Callable[[bpy.types.Context, Obstacle], list[str] | None]] = {
     "LAMPS": _lamps_to_engine,
     "CYCLES_BOUNCES": _cycles_bounces,
     "CYCLES_FAST_GI": _cycles_fast_gi,
+    "CYCLES_CAUSTICS": _cycles_caustics,
+    "SHADOW_CAUSTICS": _shadow_caustics,
 }
 
 HELP = {
@@ -341,6 +355,8 @@ HELP = {
     "LIGHT_PROBES": "Hide the volume probes from renders and viewports. Clear shows them again",
     "LAMPS": "Take the lamps' direct light out of the bake",
     "CYCLES_BOUNCES": "Leave diffuse bounces to the baked light. Turning Show in Cycles off gives them back",
+    "CYCLES_CAUSTICS": "Leave caustics to the baked ones. Turning Show in Cycles off gives them back",
+    "SHADOW_CAUSTICS": "Leave caustics to the baked ones. Clear gives the lamps' setting back",
     "CYCLES_FAST_GI": "Leave ambient light to the baked light. Clear gives the setting back",
 }
 

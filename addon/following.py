@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
-from . import areas, direct, extract, handlers, meshes, relight, store, waiting
+from . import areas, caustics, direct, extract, handlers, meshes, relight, store, waiting
 
 STALE_DELAY = 0.5
 """Seconds after the last edit of a mesh at which the bake is checked against it."""
@@ -16,8 +16,9 @@ def _on_update(scene, depsgraph):
     if store.bake_key(scene) is None:
         return
     if bpy.app.background:
-        if direct.is_baked(scene) and any(_may_stale(relight.session(scene), change) for change in depsgraph.updates):
-            direct.look_again(scene, extract.fingerprint(bpy.context))
+        worked = direct.is_baked(scene) or caustics.is_baked(scene)
+        if worked and any(_may_stale(relight.session(scene), change) for change in depsgraph.updates):
+            relight.look_again(scene, extract.fingerprint(bpy.context))
         relight.update(scene, depsgraph)
         return
     # One relight for all that happens before Blender is idle again.
@@ -26,6 +27,8 @@ def _on_update(scene, depsgraph):
     current = relight.session(scene)
     edits = [change for change in depsgraph.updates if _may_stale(current, change)]
     current.wrote_meshes = False
+    if any(caustics.can_follow(scene, change.id) for change in edits):
+        _follow_glass_later()
     if edits:
         if bpy.app.timers.is_registered(_stale_later):
             bpy.app.timers.unregister(_stale_later)
@@ -42,10 +45,25 @@ def _may_stale(current: relight.Session, change) -> bool:
         return bool(current.static) or not current.panes
     if isinstance(change.id, bpy.types.World):
         return True
+    if isinstance(change.id, bpy.types.Material):
+        return caustics.is_made_of(change.id.original)
     if not isinstance(change.id, bpy.types.Object) or store.TAG in change.id:
         return False
     own = current.wrote_meshes and meshes.AT_VERTICES in change.id
     return change.is_updated_transform or (change.is_updated_geometry and not own)
+
+
+def _follow_glass_later():
+    """Caustics need not wait until what casts them rests."""
+    if not bpy.app.timers.is_registered(_glass_later):
+        bpy.app.timers.register(_glass_later, first_interval=0.0)
+
+
+def _glass_later():
+    if not waiting.renders() and not meshes.in_edit_mode():
+        context = bpy.context
+        relight.look_again(context.scene, extract.fingerprint(context), of_caustics=True)
+        _update_later()
 
 
 def _update_later():
@@ -94,6 +112,7 @@ def _on_load(*_):
 def _on_save(*_):
     for scene in bpy.data.scenes:
         direct.finish(scene)
+        caustics.finish(scene)
         if direct.is_baked(scene):
             # what names baked objects would keep deleted ones in the file
             direct.link(scene)
@@ -119,7 +138,7 @@ def register() -> None:
 
 def unregister() -> None:
     handlers.remove(HANDLERS)
-    for timer in (_update_later, _stale_later):
+    for timer in (_update_later, _stale_later, _glass_later):
         if bpy.app.timers.is_registered(timer):
             bpy.app.timers.unregister(timer)
     relight.stop()

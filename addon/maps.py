@@ -17,6 +17,7 @@ from . import cycles, materials
 from .meshes import LAYER
 from .pixels import read_pixels
 from .snapshot import read_layer, rectangle, write_layer
+from .trees import source
 from .unfolded import Unfolded
 from .visibility import rendered_objects
 
@@ -257,7 +258,7 @@ def _emit_transmission(tree):
         return lambda: None
     old = surface.links[0].from_socket
     emission = tree.nodes.new("ShaderNodeEmission")
-    _connect(tree, _passing(tree, materials.source(surface)), emission.inputs["Color"])
+    _connect(tree, _passing(tree, source(surface)), emission.inputs["Color"])
     tree.links.new(emission.outputs[0], surface)
 
     def undo():
@@ -304,12 +305,12 @@ def _passing(tree, node):
     if node.type in {"BSDF_TRANSPARENT", "BSDF_GLASS", "BSDF_REFRACTION"}:
         return _input(node, "Color")
     if node.type == "MIX_SHADER":
-        return _blend(tree, _input(node, 0), *(_passing(tree, materials.source(node.inputs[k])) for k in (1, 2)))
+        return _blend(tree, _input(node, 0), *(_passing(tree, source(node.inputs[k])) for k in (1, 2)))
     if node.type == "ADD_SHADER":
         total = tree.nodes.new("ShaderNodeMix")
         total.data_type, total.blend_type = "RGBA", "ADD"
         total.inputs[0].default_value = 1.0
         for k, socket in ((0, total.inputs[6]), (1, total.inputs[7])):
-            _connect(tree, _passing(tree, materials.source(node.inputs[k])), socket)
+            _connect(tree, _passing(tree, source(node.inputs[k])), socket)
         return total.outputs[2]
     return np.zeros(3)

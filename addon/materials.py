@@ -18,6 +18,8 @@ import bpy
 import numpy as np
 
 from ..core.scene import Material, Scene
+from .optics import coarse_glass, read_optics
+from .trees import CONSTANT_NODES, constant, source, surface_output, uses_nodes
 from .unfolded import Unfolded
 
 PLACEHOLDER = Material("Unread")
@@ -25,7 +27,6 @@ EMPTY_SLOT = Material("No material", albedo=(0.8, 0.8, 0.8))
 GREY = np.full(3, 0.8)
 BLACK = np.zeros(3)
 WHITE = np.ones(3)
-CONSTANT_NODES = {"RGB", "VALUE"}
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,14 @@ def read_materials(
     if not bake:
         wanted &= {"transmission"}
     materials = [_material(material, each) for material, each in zip(used, looks, strict=True)]
+    # without the add-on registered there is no setting, and nothing to put caustics in
+    if getattr(getattr(context.scene, "lightpanes", None), "caustics", False):
+        materials = [
+            replace(each, optics=read_optics(material, scene.warnings))
+            for material, each in zip(used, materials, strict=True)
+        ]
     scene.materials = tuple(materials)
+    scene.warnings += coarse_glass(scene)
     if wanted:
         maps.bake_maps(context, scene, used, sources, looks, wanted, resolution, atlas)
     for material in scene.materials:
@@ -92,8 +100,7 @@ def look(material: bpy.types.Material | None, warnings: list[str]) -> Look:
     if material is None:
         return Look(GREY, BLACK, BLACK)
     tree = material.node_tree
-    # use_nodes is always on, and deprecated, from 5.0
-    if tree is None or "lightpanes_no_nodes" in material or (bpy.app.version < (5, 0) and not material.use_nodes):
+    if not uses_nodes(material):
         return Look(np.array(material.diffuse_color[:3]), BLACK, BLACK)
     output = surface_output(tree)
     if output is None:
@@ -105,57 +112,15 @@ def look(material: bpy.types.Material | None, warnings: list[str]) -> Look:
     return _shader(source(output.inputs["Surface"]), material.name, warnings)
 
 
-def surface_output(tree: bpy.types.NodeTree) -> bpy.types.Node | None:
-    """The output that Cycles reads, or would read but for ours, which only shows what was baked."""
-    output = tree.get_output_node("CYCLES")
-    if output is not None and "lightpanes" in output:
-        return tree.nodes.get(output.get("lightpanes_former", ""))
-    return output
-
-
 def _warn_unsupported(material, output, warnings) -> None:
     if output.inputs["Volume"].is_linked:
-        warnings.append(f"Material '{material.name}' has a volume, which is not honoured: light passes it unchanged.")
+        warnings.append(
+            f"Material '{material.name}' has a volume, which is not honoured but by caustics: light passes it unchanged."
+        )
     if output.inputs["Displacement"].is_linked and getattr(material, "displacement_method", "BUMP") != "BUMP":
         warnings.append(
             f"Material '{material.name}' displaces its surface, which is not honoured: use a Displace modifier."
         )
-
-
-def source(socket: bpy.types.NodeSocket) -> bpy.types.Node | None:
-    """The node that feeds an input, through reroutes and muted nodes; None if nothing does."""
-    while socket.is_linked:
-        link = next((link for link in socket.links if not link.is_muted), None)
-        if link is None:
-            return None
-        node = link.from_node
-        if node.type == "REROUTE":
-            socket = node.inputs[0]
-        elif node.mute:
-            inner = next((inner for inner in node.internal_links if inner.to_socket == link.from_socket), None)
-            if inner is None:
-                return None
-            socket = inner.from_socket
-        else:
-            return node
-    return None
-
-
-def constant(socket: bpy.types.NodeSocket) -> np.ndarray | float | None:
-    """Value of an input: (3,) of a colour, a float, or None where it varies."""
-    node = source(socket)
-    if node is None:
-        value = socket.default_value
-    elif node.type in CONSTANT_NODES:
-        value = node.outputs[0].default_value
-    else:
-        return None
-    if socket.type == "RGBA":
-        return np.array(value[:3]) if hasattr(value, "__len__") else np.full(3, float(value))
-    if hasattr(value, "__len__"):
-        # a colour into a number: its luminance, as in Cycles
-        return float(np.dot(value[:3], (0.2126, 0.7152, 0.0722)))
-    return float(value)
 
 
 def gloss_albedo(roughness: float, ior: float, level: float = 0.5) -> float:

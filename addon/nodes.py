@@ -71,6 +71,7 @@ def detach(scene: bpy.types.Scene) -> None:
         else:
             _detach_material(material)
     _restore_bounces(scene)
+    _restore_caustics(scene)
     _remove_default_material()
     for group in list(bpy.data.node_groups):
         if group.get(store.TAG) == GROUP and group.library is None and group not in others | shown:
@@ -82,7 +83,8 @@ def show_in_cycles(scene: bpy.types.Scene) -> None:
     """Add or remove, as `scene.lightpanes.cycles` says, what shows the bake in Cycles.
 
     Cycles brings the first hit of sky and emissive faces itself, so of `Lightpanes Direct` only the lamps' light counts
-    there, and its own diffuse bounces, which the bake replaces, are switched off.
+    there, and its own diffuse bounces, which the bake replaces, are switched off; so are its caustics where the bake has
+    some.
     """
     show = scene.lightpanes.cycles
     for material in bpy.data.materials:
@@ -103,6 +105,10 @@ def show_in_cycles(scene: bpy.types.Scene) -> None:
         cycles.diffuse_bounces = 0
     elif not show:
         _restore_bounces(scene)
+    if show and cycles is not None and store.find_image(scene, store.CAUSTICS) is not None:
+        _stop_caustics(scene)
+    else:
+        _restore_caustics(scene)
 
 
 def rebuild(scene: bpy.types.Scene) -> None:
@@ -128,6 +134,20 @@ def _restore_bounces(scene):
     if cycles is not None and scene.lightpanes.diffuse_bounces >= 0:
         cycles.diffuse_bounces = scene.lightpanes.diffuse_bounces
     scene.lightpanes.diffuse_bounces = -1
+
+
+def _stop_caustics(scene):
+    settings, cycles = scene.lightpanes, scene.cycles
+    if settings.cycles_caustics < 0:
+        settings.cycles_caustics = cycles.caustics_reflective + 2 * cycles.caustics_refractive
+        cycles.caustics_reflective = cycles.caustics_refractive = False
+
+
+def _restore_caustics(scene):
+    former, cycles = scene.lightpanes.cycles_caustics, getattr(scene, "cycles", None)
+    if cycles is not None and former >= 0:
+        cycles.caustics_reflective, cycles.caustics_refractive = bool(former & 1), bool(former & 2)
+    scene.lightpanes.cycles_caustics = -1
 
 
 def group_of(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
@@ -375,7 +395,7 @@ def _make_group(scene) -> bpy.types.NodeTree:
 
 
 def _fill_group(scene, group):
-    """Shader + albedo × (irradiance + direct) / π as emission, on baked objects, seen by the camera or in mirrors.
+    """Shader + albedo × (irradiance + direct + caustics) / π as emission, on baked objects, seen by the camera or in mirrors.
 
     The input Direct is 0 in engines that bring the first hit of sky and emissive faces themselves.
     """
@@ -401,6 +421,9 @@ def _fill_group(scene, group):
         elif store.holds_direct(scene):
             shown = build.vector("MULTIPLY", shown, entrance.outputs["Direct"])
         light = build.vector("ADD", light, shown)
+    caustics = store.find_image(scene, store.CAUSTICS)
+    if caustics is not None:
+        light = build.vector("ADD", light, build.image(caustics, place))
     if vertices.lit(scene):
         at_vertices = build.attribute(AT_VERTICES).outputs["Fac"]
         light = build.mix(at_vertices, light, build.attribute(vertices.LIGHT, "GEOMETRY").outputs["Color"])

@@ -9,11 +9,26 @@ from functools import lru_cache
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from . import animation, beside, direct, engine, figures, groups, job, obstacles, preflight, relight, store, vertices
+from . import (
+    animation,
+    beside,
+    caustics,
+    direct,
+    engine,
+    figures,
+    groups,
+    job,
+    obstacles,
+    preflight,
+    relight,
+    store,
+    vertices,
+)
 
 MOST_OBSTACLES = 8
 MOST_LAMPS = 24
 MOST_SENTENCES = 8
+MOST_CASTERS = 6
 
 LAMP_ICONS = {"POINT": "LIGHT_POINT", "SUN": "LIGHT_SUN", "SPOT": "LIGHT_SPOT", "AREA": "LIGHT_AREA"}
 
@@ -134,6 +149,9 @@ class LIGHTPANES_PT_advanced(_SubPanel, bpy.types.Panel):
     def draw(self, context):
         layout, settings = self.begin(), context.scene.lightpanes
         layout.prop(settings, "exits")
+        row = layout.row()
+        row.active = settings.caustics
+        row.prop(settings, "photons")
         layout.prop(settings, "seed")
 
 
@@ -211,13 +229,14 @@ class LIGHTPANES_PT_output(_SubPanel, bpy.types.Panel):
         if item is not None and item.type == "MESH" and store.TAG not in item:
             layout.prop(item.lightpanes, "target", text=item.name, translate=False)
         layout.prop(scene.lightpanes, "direct")
+        layout.column(heading="Caustics").prop(scene.lightpanes, "caustics", text="")
         layout.prop(scene.lightpanes, "storage")
         if beside.problem():
             _sentence(layout, context, beside.problem(), "ERROR")
         if store.find_entries(scene) is None:
             return
         column = layout.column(align=True)
-        for role in (store.IRRADIANCE, store.DIRECT, store.ALBEDO):
+        for role in (store.IRRADIANCE, store.DIRECT, store.CAUSTICS, store.ALBEDO):
             image = store.find_image(scene, role)
             if image is not None:
                 column.label(text=image.name, icon="IMAGE_DATA", translate=False)
@@ -228,10 +247,25 @@ class LIGHTPANES_PT_output(_SubPanel, bpy.types.Panel):
                 _fact(column, "Last Direct Light", f"{milliseconds:.0f} ms")
             for sentence in direct.sentences(scene)[:MOST_SENTENCES]:
                 _sentence(column, context, sentence, "DOT")
+        if caustics.is_baked(scene):
+            _draw_caustics(layout, context, caustics.held(scene))
         layout.prop(scene.lightpanes, "cycles")
         column = layout.column(align=True)
         column.operator("lightpanes.save_images", icon="IMAGE_DATA")
         column.operator("lightpanes.bake_animation", icon="RENDER_ANIMATION")
+
+
+def _draw_caustics(layout, context, known):
+    column = layout.column(align=True)
+    names = ", ".join(known.casters[:MOST_CASTERS])
+    if len(known.casters) > MOST_CASTERS:
+        names += f", {iface_('{} more').format(len(known.casters) - MOST_CASTERS)}"
+    _fact(column, "Caustics Of", names)
+    if known.milliseconds:
+        _fact(column, "Photons", f"{caustics.photons_for(context.scene):,}")
+        _fact(column, "Last Caustics", f"{known.milliseconds:.0f} ms")
+    for sentence in caustics.sentences(context.scene)[:MOST_SENTENCES]:
+        _sentence(column, context, sentence, "DOT")
 
 
 class LIGHTPANES_PT_debug(_SubPanel, bpy.types.Panel):

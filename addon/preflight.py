@@ -127,10 +127,11 @@ def _key(context) -> tuple:
         asked.exits,
         asked.cycles,
         asked.direct,
+        asked.caustics,
         store.bake_key(scene),
         twice.only_darkens(scene.eevee),
         scene.eevee.use_raytracing,
-        cycles and (cycles.diffuse_bounces, cycles.use_fast_gi),
+        cycles and (cycles.diffuse_bounces, cycles.use_fast_gi, cycles.caustics_reflective, cycles.caustics_refractive),
     )
 
 

@@ -28,6 +28,17 @@ def _direct_changed(settings, context):
     relight.switch_direct(context, settings.id_data)
 
 
+def _caustics_changed(settings, context):
+    from . import preflight, relight
+
+    preflight.forget()
+    relight.switch_caustics(context, settings.id_data)
+
+
+def _photons_changed(settings, context):
+    _live_changed(settings, context)
+
+
 def _samples_changed(_settings, context):
     _live_changed(context.scene.lightpanes, context)
 
@@ -107,6 +118,22 @@ class SceneSettings(bpy.types.PropertyGroup):
         default="OFF",
         update=_direct_changed,
     )
+    caustics: BoolProperty(
+        name="Caustics",
+        description="Follow the lamps' light through glass and off metals to where it is focused, in the image Lightpanes "
+        "Caustics. A scene without smooth glass or metal does nothing for it",
+        default=True,
+        update=_caustics_changed,
+    )
+    photons: IntProperty(
+        name="Photons",
+        description="Photons of each lamp that caustics are made of. 0: as many as the error asks for",
+        default=0,
+        min=0,
+        soft_max=1_000_000,
+        max=100_000_000,
+        update=_photons_changed,
+    )
     seed: IntProperty(name="Seed", description="The same seed gives the same bake", default=0, min=0, max=2**31 - 1)
     cycles: BoolProperty(
         name="Show in Cycles",
@@ -138,6 +165,8 @@ class SceneSettings(bpy.types.PropertyGroup):
     )
     # Cycles' diffuse bounces before `cycles` set them to 0; -1 while it has not.
     diffuse_bounces: IntProperty(default=-1, options={"HIDDEN"})
+    # Cycles' caustics before they were switched off: 1 reflective + 2 refractive; -1 while they have not been.
+    cycles_caustics: IntProperty(default=-1, options={"HIDDEN"})
     # What lamps leave alone while `direct` is BAKED, as excluded members (see linking).
     receivers: PointerProperty(type=bpy.types.Collection, options={"HIDDEN"})
     # The bake that belongs to the scene: changing this one pointer is the swap from the old bake to the new.

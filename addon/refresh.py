@@ -30,7 +30,7 @@ def _on_rendered(*_):
     from . import store
 
     for image in bpy.data.images:
-        if image.get(store.TAG) in {store.IRRADIANCE, store.DIRECT}:
+        if image.get(store.TAG) in {store.IRRADIANCE, store.DIRECT, store.CAUSTICS}:
             _rendered[image.session_uid] = image.alpha_mode
 
 

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 
 import bpy
+import numpy as np
 
 from ..core.bake import BakeError
 from ..core.panes import Panes, Relighter
@@ -19,17 +21,21 @@ from ..core.rays import Tracer
 from ..core.scene import Light, Scene, SceneError
 from . import (
     areas,
+    caustics,
     direct,
     engine,
     environment,
     extract,
     lamps,
+    live_image,
     meshes,
     points,
+    stale,
     store,
     vertices,
     visibility,
 )
+from .focus import Focus
 from .lamps import lamp_key
 
 
@@ -41,11 +47,13 @@ class Session:
     relighter: Relighter | None = None
     edited: bool = False  # its shadows are those of surfaces that differ from what was baked
     shown: str = ""  # key of the lamps that the image shows
+    landed: int = 0  # key of the caustics whose bounces it shows
+    focus: Focus | None = None  # what these bring to the entries
     last: dict[str, Light] = field(default_factory=dict)  # the lamps that the image shows, by name
     static: dict[str, str] = field(default_factory=dict)  # keys of the lamps that are baked in, by name
     baked_in: tuple[Light, ...] = ()  # these lamps, as they were baked
     owners: dict[str, bpy.types.Object] = field(default_factory=dict)  # objects of the lamps last read, by lamp's name
-    read: tuple[Scene, Tracer] | None = None  # surfaces just read, for the direct light
+    read: tuple[Scene, Tracer | None] | None = None  # surfaces just read, for the direct light and the caustics
     panes: bool = True  # whether the bake holds any
     stale: tuple[str, ...] = ()
     followed: str = ""  # key of the surfaces where the points are
@@ -88,12 +96,16 @@ def _begin(scene, key, **more) -> Session:
 
 
 def forget(scene: bpy.types.Scene) -> None:
+    """Drop what was worked out for the scene, its images' light included."""
+    direct.forget(scene)
+    caustics.forget(scene)
     _sessions.pop(scene.session_uid, None)
 
 
 def adopt(scene: bpy.types.Scene, relighter: Relighter) -> None:
     """Use this relighter, just made by a bake, instead of making one from the .blend."""
     direct.forget(scene)
+    caustics.forget(scene)
     _sessions[scene.session_uid] = _begin(scene, store.bake_key(scene), relighter=relighter)
 
 
@@ -131,9 +143,11 @@ def relight(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph | None = 
         if current is None:
             raise SceneError(f"Scene '{scene.name}' has no bake; press Bake first.")
         current.last.clear()
-        if direct.is_baked(scene):
-            direct.look_again(scene, extract.fingerprint(context))
+        caustics.look_anew(scene)
+        if direct.is_baked(scene) or caustics.is_baked(scene):
+            look_again(scene, extract.fingerprint(context))
         lights = _read_lights(depsgraph or context.evaluated_depsgraph_get(), current)
+        _apply_caustics(context, scene, current, lights)
         _apply(context, scene, current, lights)
         _apply_direct(context, scene, current, lights)
     check_stale(context)
@@ -157,12 +171,17 @@ def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, at_once: bool
         if current.owes and not meshes.in_edit_mode():
             current.shown = ""
         changed = key != current.shown
-        if not (changed or direct.is_baked(scene)) or not engine.ready():
+        worked = direct.is_baked(scene) or caustics.is_baked(scene) or caustics.is_shown(scene)
+        if not (changed or worked) or not engine.ready():
             return False
         try:
             if changed:
+                caustics.need_landings(scene)
+            focused = _apply_caustics(bpy.context, scene, current, lights, at_once)
+            changed = changed or (focused and at_once)
+            if changed:
                 _apply(bpy.context, scene, current, lights)
-            return _apply_direct(bpy.context, scene, current, lights, at_once) or changed
+            return _apply_direct(bpy.context, scene, current, lights, at_once) or changed or focused
         except (SceneError, BakeError) as error:
             current.shown = key  # the same lamps would fail the same way
             if current.error != str(error):
@@ -183,12 +202,21 @@ def check_stale(context: bpy.types.Context) -> tuple[str, ...]:
     now = extract.fingerprint(context)
     if not extract.changed_objects(meta["fingerprint"], now) and not meshes.in_edit_mode():
         _read_again(current)
-    direct.look_again(scene, now)
-    current.stale = differences(meta["fingerprint"], now) + _follow(context, current, meta, now)
+    look_again(scene, now)
+    current.stale = stale.of_objects(meta["fingerprint"], now) + _follow(context, current, meta, now)
     if meta.get("world", environment.digest(scene.world)) != environment.digest(scene.world):
         current.stale += ("The world was changed since the bake; bake again.",)
-    current.stale += _lamp_changes(current, shining)
+    current.stale += stale.of_lamps(current.static, current.panes, shining)
     return current.stale
+
+
+def look_again(scene: bpy.types.Scene, now: dict[str, str], of_caustics: bool = False) -> None:
+    """Drop what was worked out of other surfaces than these (`extract.fingerprint`). of_caustics: of theirs alone."""
+    if (current := session(scene)) is not None:
+        current.read = None
+    caustics.look_again(scene, now)
+    if not of_caustics:
+        direct.look_again(scene, now)
 
 
 def _read_again(current: Session) -> None:
@@ -214,35 +242,6 @@ def _follow(context, current: Session, meta: dict, now: dict[str, str]) -> tuple
         surfaces = None
     current.followed, current.moved = key, points.follow(context.scene, meta, surfaces)
     return current.moved
-
-
-def _lamp_changes(current: Session, shining) -> tuple[str, ...]:
-    """What to tell the user about lamps that the bake holds, and those that it cannot show."""
-    now = {light.name: light for light in shining}
-    told = []
-    for name, key in current.static.items():
-        if name not in now:
-            told.append(f"Lamp '{name}' is baked in, and was deleted, hidden or switched off since; bake again.")
-        elif lamp_key([now[name]]) != key:
-            told.append(f"Lamp '{name}' is baked in, and was changed since; bake again.")
-        elif now[name].live:
-            told.append(f"Lamp '{name}' is baked in; bake again to make it live.")
-    if not current.panes:
-        others = [f"'{name}'" for name in now if name not in current.static]
-        if others:
-            told.append(f"This bake has no live lamp, so it cannot show {', '.join(others)}; bake again.")
-    return tuple(told)
-
-
-def differences(before: dict[str, str], now: dict[str, str]) -> tuple[str, ...]:
-    """What to tell the user about objects that were added, deleted or edited; fingerprints by object name."""
-    gone = [f"'{name}' was deleted or hidden" for name in before if name not in now]
-    new = [f"'{name}' was added" for name in now if name not in before]
-    # "" is an object that the viewport hides, which can't be read
-    edited = [
-        f"'{name}' was moved or edited" for name, was in before.items() if was and now.get(name, was) not in (was, "")
-    ]
-    return tuple(f"{what} since the bake; bake again." for what in gone + edited + new)
 
 
 def _read_lights(depsgraph, current: Session, rendering: bool = False) -> tuple[Light, ...]:
@@ -279,6 +278,7 @@ def _hidden_lamps(scene, view_layer: str) -> set[str]:
 def _apply(context, scene, current: Session, lights):
     relighter = relighter_of(context, current)
     begin = time.perf_counter()
+    _focus(scene, current, relighter)
     light = relighter.light(lights)
     if relighter.panes.shown is not None:
         points.show(scene, relighter.rows(light))
@@ -300,10 +300,57 @@ def _apply(context, scene, current: Session, lights):
 
 def _apply_direct(context, scene, current: Session, lights, at_once: bool = True) -> bool:
     """Whether the lamps' direct light is baked and had to change."""
-    if not direct.is_baked(scene):
+    try:
+        if not direct.is_baked(scene):
+            return False
+        asked = direct.ask(scene, lights, current.baked_in, current.owners)
+        return direct.update(context, scene, asked, lambda: surfaces_of(context, current), at_once)
+    finally:
+        # they fill memory, and soon are others
+        current.read = None
+
+
+def _apply_caustics(context, scene, current: Session, lights, at_once: bool = True) -> bool:
+    """Whether the lamps' light is focused by anything, and that had to change."""
+    if not caustics.is_baked(scene):
+        # what was glass is none any more
+        caustics.drop(scene)
         return False
-    asked = direct.ask(scene, lights, current.baked_in, current.owners)
-    return direct.update(context, scene, asked, lambda: surfaces_of(context, current), at_once)
+    asked = caustics.ask(scene, lights, current.baked_in)
+    return caustics.update(context, scene, asked, lambda: shapes_of(context, current), at_once)
+
+
+def bounce(scene: bpy.types.Scene) -> None:
+    """After caustics were worked out beside Blender: let the light bounce from where it falls now."""
+    current = _sessions.get(scene.session_uid)
+    # whoever has the lock asks for them at once
+    if current is None or current.relighter is None or not _lock.acquire(blocking=False):
+        return
+    try:
+        landed = caustics.landed(scene)
+        if landed.key != current.landed and scene == bpy.context.scene:
+            _apply(bpy.context, scene, current, tuple(current.last.values()))
+    except (SceneError, BakeError) as error:
+        current.error = str(error)
+        print(f"Lightpanes: {error}")
+    finally:
+        _lock.release()
+
+
+def switch_caustics(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
+    """After `scene.lightpanes.caustics` was set: bring caustics into the bake, or take them out."""
+    current = session(scene)
+    if current is None:
+        return
+    with _lock:
+        # glass blocks lamps where caustics are on
+        current.relighter, current.read, current.shown = None, None, ""
+        direct.forget_surfaces(scene)
+        if not scene.lightpanes.caustics:
+            caustics.end(scene)
+    if scene == context.scene and scene.lightpanes.live:
+        update(scene, context.evaluated_depsgraph_get())
+    areas.redraw_panel()
 
 
 def switch_direct(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
@@ -329,12 +376,37 @@ def surfaces_of(context: bpy.types.Context, current: Session) -> tuple[Panes, Sc
 
     Raises SceneError where these can't be used.
     """
+    panes, surfaces = shapes_of(context, current)
+    if current.read[1] is None:
+        current.read = surfaces, caustics.make_tracer(surfaces)
+    return panes, *current.read
+
+
+def shapes_of(context: bpy.types.Context, current: Session) -> tuple[Panes, Scene]:
+    """The same without shadow rays."""
     panes = relighter_of(context, current).panes
-    read, current.read = current.read, None
-    if read is None:
-        surfaces = extract.extract(context, resolution=panes.resolution, albedo=False)
-        read = surfaces, Tracer(surfaces)
-    return panes, *read
+    if current.read is None:
+        current.read = extract.extract(context, resolution=panes.resolution, albedo=False), None
+    return panes, current.read[0]
+
+
+def image_of(context: bpy.types.Context, current: Session, lights: Sequence[Light]) -> np.ndarray:
+    """(H, W, 4) float32 irradiance under these lamps, W/m², with what bounces off the caustics that were worked out last."""
+    relighter = relighter_of(context, current)
+    _focus(context.scene, current, relighter)
+    return relighter.relight(lights)
+
+
+def _focus(scene, current: Session, relighter: Relighter) -> None:
+    """Let the relighter know of the caustics that were worked out last."""
+    landed = caustics.landed(scene)
+    if landed.key != current.landed or (current.focus is not None and relighter.extra is None):
+        if current.focus is None and landed.landings:
+            current.focus = Focus(relighter.panes.surface, relighter.entry_light.tracer.offset)
+        if current.focus is not None:
+            current.focus.take(landed)
+            relighter.extra = current.focus.of
+        current.landed = landed.key
 
 
 def relighter_of(context: bpy.types.Context, current: Session) -> Relighter:
@@ -352,9 +424,9 @@ def relighter_of(context: bpy.types.Context, current: Session) -> Relighter:
         changed = extract.changed_objects(bake.meta.get("fingerprint", {}), extract.fingerprint(context))
         # what is in Edit Mode has its new shape already
         current.edited = bool(changed) or meshes.in_edit_mode()
-        tracer = Tracer(geometry)
+        tracer = caustics.make_tracer(geometry)
         current.relighter = Relighter(bake.panes(), tracer)
-        current.read = (geometry, tracer) if direct.is_baked(scene) else None
+        current.read = geometry, tracer
     return current.relighter
 
 
@@ -364,6 +436,7 @@ def prepare_render(scene: bpy.types.Scene) -> None:
         with _lock:
             direct.finish(scene)
             direct.link(scene)
+    caustics.finish(scene)
     if not scene.lightpanes.live or scene != bpy.context.scene:
         return
     with _lock:
@@ -373,7 +446,8 @@ def prepare_render(scene: bpy.types.Scene) -> None:
         try:
             lights = _read_lights(bpy.context.evaluated_depsgraph_get(), current, rendering=True)
             if engine.ready():
-                if lamp_key(lights) != current.shown:
+                focused = _apply_caustics(bpy.context, scene, current, lights)
+                if focused or lamp_key(lights) != current.shown:
                     _apply(bpy.context, scene, current, lights)
                 _apply_direct(bpy.context, scene, current, lights)
         except (SceneError, BakeError) as error:
@@ -387,16 +461,18 @@ def undone(scene: bpy.types.Scene) -> None:
         current.shown = current.followed = ""
         _read_again(current)
         current.error = ""
-    direct.undone()
+    live_image.undone()
     if session(scene) is not None and not direct.is_baked(scene):
         direct.end(scene)
+    if session(scene) is not None and not scene.lightpanes.caustics:
+        caustics.end(scene)
     update(scene, bpy.context.evaluated_depsgraph_get())
 
 
 def stop() -> None:
     """Forget everything, as when another file is opened."""
     _sessions.clear()
-    direct.stop()
+    live_image.stop()
 
 
 def pack() -> None:
@@ -408,6 +484,7 @@ def pack() -> None:
             # copies of a scene share it, and one of them has written it
             shown[image] = shown.get(image) or current.shown
         direct.note_packed(scene)
+        caustics.note_packed(scene)
     for image, key in shown.items():
         image[PACKED] = key
     store.pack_dirty()

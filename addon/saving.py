@@ -12,7 +12,7 @@ from ..core import exr
 from ..core.bake import BakeError
 from ..core.files import replacing
 from ..core.scene import SceneError
-from . import direct, groups, relight, store
+from . import caustics, direct, groups, relight, store
 
 BY_GROUP = (
     "Also write an image for each group of lamps, for those without one, and for the light that no lamp changes. "
@@ -20,11 +20,11 @@ BY_GROUP = (
 )
 # Blender warns of `//` in a path that does not say that it takes it; before 4.5 it knows no such saying.
 RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5) else set()
-ROLES = (store.IRRADIANCE, store.DIRECT, store.ALBEDO)
+ROLES = (store.IRRADIANCE, store.DIRECT, store.CAUSTICS, store.ALBEDO)
 
 
 def save_images(context: bpy.types.Context, folder: Path, by_group: bool = False) -> list[Path]:
-    """Write `Lightpanes Irradiance`, `Direct` and `Albedo`, those that the bake has, as 32-bit EXR; returns the files.
+    """Write `Lightpanes Irradiance`, `Direct`, `Caustics` and `Albedo`, those that the bake has, as 32-bit EXR; returns the files.
 
     by_group: the lamps are read anew, and `Lightpanes Irradiance_GROUP` and so on come along, which sum up to the whole.
     Each is written under another name first, so that an existing file stays whole whatever happens. Raises SceneError,
@@ -32,6 +32,7 @@ def save_images(context: bpy.types.Context, folder: Path, by_group: bool = False
     """
     scene = context.scene
     direct.finish(scene)
+    caustics.finish(scene)
     images = [image for role in ROLES if (image := store.find_image(scene, role)) is not None]
     if not images:
         raise SceneError(f"Scene '{scene.name}' has no bake; press Bake first.")

@@ -4,7 +4,7 @@ A folder gets `irradiance_0001.exr` and so on, one a frame: irradiance in W/m²,
 divided out, so that outgoing radiance = albedo × irradiance / π. `lightpanes_animation.json` beside them says which
 frames there are and where in the atlas each object lies; `direct.exr` is the first hit of sky and emissive faces, to be
 added, where the bake holds it. Where the lamps' direct light is baked, each frame has its own instead, `direct_0001.exr`
-and so on. By group, `irradiance_0001_GROUP.exr` and `irradiance_Steady.exr` sum up to the whole. All files of a run
+and so on; so it is with caustics, `caustics_0001.exr`, where anything casts them. By group, `irradiance_0001_GROUP.exr` and `irradiance_Steady.exr` sum up to the whole. All files of a run
 appear at once when its last frame is done, or not at all.
 """
 
@@ -24,15 +24,15 @@ from ..core import exr
 from ..core.bake import Progress
 from ..core.files import filling
 from ..core.scene import Light, SceneError
-from . import direct, engine, extract, groups, lamps, nodes, relight, store, vertices, visibility
+from . import caustics, direct, engine, extract, groups, lamps, nodes, relight, store, vertices, visibility
 from .work import run
 
 FOLDER = "lightpanes_irradiance"
 MANIFEST = "lightpanes_animation.json"
 DIRECT = "direct.exr"
-SCHEMA, SCHEMA_DIRECT = 1, 2
+SCHEMA, SCHEMA_DIRECT, SCHEMA_CAUSTICS = 1, 2, 3
 """Of the manifest: another number where a reader of the former one would go wrong. The second: with direct light that
-each frame has its own of."""
+each frame has its own of. The third: with caustics, and `direct` of each frame or once, as it is named."""
 
 Steps = Generator[Progress, None, dict]
 
@@ -131,6 +131,7 @@ def _write_images(context, stage: Path, frames: range, manifest: dict) -> Steps:
         manifest["direct"] = DIRECT
     names = [entry["group"] or "" for entry in manifest.get("groups", ())]
     lit = _Frames(context, current, stage) if each else None
+    focused = _Focused(context, current, stage) if manifest["schema"] == SCHEMA_CAUSTICS else None
     shown, former = "", []
     for number, entry in enumerate(manifest["frames"]):
         if context.scene != scene or relight.session(scene) is not current:
@@ -141,6 +142,10 @@ def _write_images(context, stage: Path, frames: range, manifest: dict) -> Steps:
         yield Progress("Frames", number / len(frames), 0)
         files = [entry["file"], *entry.get("groups", {}).values()]
         key = relight.lamp_key(lights)
+        if focused is not None:
+            # where they fall the light bounces on
+            for _ in focused.writing(entry["caustics"], lights):
+                yield Progress("Frames", number / len(frames), 0)
         if key == shown:
             for old, new in zip(former, files, strict=True):
                 shutil.copyfile(stage / old, stage / new)
@@ -192,11 +197,33 @@ class _Frames:
         yield from exr.writing(self.place, light)
 
 
+class _Focused:
+    """Writes the caustics of each frame."""
+
+    def __init__(self, context, current: relight.Session, stage: Path):
+        self.context, self.current, self.stage = context, current, stage
+        self.key, self.place = "", None
+
+    def writing(self, name: str, lights) -> Generator[float, None, None]:
+        """One file, in parts of itself that are done."""
+        asked = caustics.ask(self.context.scene, lights, self.current.baked_in)
+        former, self.place = self.place, self.stage / name
+        if asked.key == self.key:
+            shutil.copyfile(former, self.place)
+            return
+        self.key = asked.key
+        with relight.paused():
+            light = caustics.values(
+                self.context, self.context.scene, asked, lambda: relight.shapes_of(self.context, self.current)
+            )
+        yield from exr.writing(self.place, light)
+
+
 def _irradiance(context, current: relight.Session, lights) -> np.ndarray:
     """(H, W, 3) float32 of what `lightpanes.relight` would show; the image that the user sees is not touched, and follows
     the lamps again once all frames are written."""
     with relight.paused():
-        return relight.relighter_of(context, current).relight(lights)[..., :3].copy()
+        return relight.image_of(context, current, lights)[..., :3].copy()
 
 
 def _shares(context, current: relight.Session, lights, names) -> tuple[list[np.ndarray], np.ndarray]:
@@ -256,18 +283,20 @@ def _manifest(scene, frames: range) -> dict:
             if without
             else "No object of this bake is left in the scene; bake again."
         )
-    each = direct.is_baked(scene)
+    each, focused = direct.is_baked(scene), store.find_image(scene, store.CAUSTICS) is not None
     return {
-        "schema": SCHEMA_DIRECT if each else SCHEMA,
+        "schema": SCHEMA_CAUSTICS if focused else SCHEMA_DIRECT if each else SCHEMA,
         "unit": "W/m²",
         "quantity": "irradiance",
         "color_space": "linear Rec.709",
-        "use": "outgoing radiance = albedo × (irradiance + direct) / π; atlas UV = UV × scale + offset, v = 0 below",
+        "use": "outgoing radiance = albedo × (irradiance + direct + caustics) / π; atlas UV = UV × scale + offset, v = 0 below",
         "uv_layer": nodes.UV_LAYER,
         "resolution": list(image.size),
         "fps": scene.render.fps / scene.render.fps_base,
         "frames": [
-            {"frame": frame, "file": _file_name(frame)} | ({"direct": _file_name(frame, "direct")} if each else {})
+            {"frame": frame, "file": _file_name(frame)}
+            | ({"direct": _file_name(frame, "direct")} if each else {})
+            | ({"caustics": _file_name(frame, "caustics")} if focused else {})
             for frame in frames
         ],
         "direct": None,
@@ -302,7 +331,11 @@ def _file_name(frame: int, what: str = "irradiance") -> str:
 def _leftovers(folder: Path, stage: Path) -> list[str]:
     """A warning where images of an earlier run will lie among the new ones."""
     new = {path.name for path in stage.iterdir()}
-    old = sorted(path.name for pattern in ("irradiance_*.exr", "direct_*.exr", DIRECT) for path in folder.glob(pattern))
+    old = sorted(
+        path.name
+        for pattern in ("irradiance_*.exr", "direct_*.exr", "caustics_*.exr", DIRECT)
+        for path in folder.glob(pattern)
+    )
     old = [name for name in old if name not in new]
     if not old:
         return []

@@ -32,8 +32,9 @@ IRRADIANCE = "Lightpanes Irradiance"
 DIRECT = "Lightpanes Direct"
 # What `Lightpanes Direct` holds without the lamps; there while their light is in it, too.
 STEADY = "Lightpanes Direct Steady"
+CAUSTICS = "Lightpanes Caustics"
 ALBEDO = "Lightpanes Albedo"
-SHOWN = (IRRADIANCE, DIRECT, ALBEDO)
+SHOWN = (IRRADIANCE, DIRECT, CAUSTICS, ALBEDO)
 
 # Custom properties. TAG marks every data-block that is ours to delete; it holds the data-block's role. It is not
 # named "lightpanes", which on objects is the PropertyGroup.

@@ -98,6 +98,16 @@ GERMAN = {
     "for":
         "Samples dieser Lampe für ihre weichen Schatten, wo direktes Licht gebacken wird. 0: so viele, wie der Fehler "
         "verlangt",
+    "Caustics": "Kaustiken",
+    "Follow the lamps' light through glass and off metals to where it is focused, in the image Lightpanes "
+    "Caustics. A scene without smooth glass or metal does nothing for it":
+        "Das Licht der Lampen durch Glas und über Metall bis dorthin verfolgen, wo es gebündelt auftrifft: im Bild "
+        "Lightpanes Caustics. Eine Szene ohne glattes Glas oder Metall tut nichts dafür",
+    "Photons": "Photonen",
+    "Photons of each lamp that caustics are made of. 0: as many as the error asks for":
+        "Photonen jeder Lampe, aus denen Kaustiken gemacht werden. 0: so viele, wie der Fehler verlangt",
+    "Caustics Of": "Kaustiken von",
+    "Last Caustics": "Letzte Kaustiken",
     "Seed": "Seed",
     "The same seed gives the same bake": "Derselbe Seed ergibt dasselbe Ergebnis",
     "Show in Cycles": "In Cycles zeigen",
@@ -194,6 +204,8 @@ GERMAN_BUTTONS = {
     "Direct Light: Engine": "Direktes Licht: Engine",
     "Set Diffuse Bounces to 0": "Diffuse Reflexionen auf 0",
     "Turn Fast GI Off": "Fast GI ausschalten",
+    "Turn Caustics Off": "Kaustiken ausschalten",
+    "Turn Shadow Caustics Off": "Schatten-Kaustiken ausschalten",
 }
 
 _STRINGS = {("*", text): said for text, said in GERMAN.items()}

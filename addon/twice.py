@@ -99,6 +99,24 @@ def _cycles(scene) -> Iterator[Obstacle]:
     if cycles.diffuse_bounces > 0:
         sentence = "Cycles' own diffuse bounces are on again, beside the baked light that Show in Cycles brings."
         yield Obstacle("CYCLES_BOUNCES", WARNING, sentence, button="Set Diffuse Bounces to 0")
+    if store.find_image(scene, store.CAUSTICS) is not None:
+        yield from _cycles_caustics(scene)
     if cycles.use_fast_gi:
         sentence = "Cycles' Fast GI Approximation adds ambient light to the baked light that Show in Cycles brings."
         yield Obstacle("CYCLES_FAST_GI", WARNING, sentence, button="Turn Fast GI Off")
+
+
+def _cycles_caustics(scene) -> Iterator[Obstacle]:
+    cycles = scene.cycles
+    if cycles.diffuse_bounces > 0 and (cycles.caustics_reflective or cycles.caustics_refractive):
+        sentence = "Cycles' own caustics are on again, beside the baked ones that Show in Cycles brings."
+        yield Obstacle("CYCLES_CAUSTICS", WARNING, sentence, button="Turn Caustics Off")
+    lamps = [
+        item
+        for item in scene.objects
+        if item.type == "LIGHT" and getattr(getattr(item.data, "cycles", None), "is_caustics_light", False)
+    ]
+    if lamps:
+        sentence = f"Cycles adds shadow caustics of {named(lamps)} to the baked ones that Show in Cycles brings."
+        button = "Turn Shadow Caustics Off" if any(item.data.library is item.library is None for item in lamps) else ""
+        yield Obstacle("SHADOW_CAUSTICS", WARNING, sentence, about(*lamps), button)

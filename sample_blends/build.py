@@ -1,4 +1,4 @@
-"""Build the sample scenes: python sample_blends/build.py [cornell] [pillars] [two_rooms] [stairs] [atrium].
+"""Build the sample scenes: python sample_blends/build.py [cornell] [pillars] [two_rooms] [stairs] [atrium] [glass].
 
 Build them with bpy 4.5, so that every supported Blender reads them.
 """
@@ -10,10 +10,12 @@ import sys
 from pathlib import Path
 
 import bpy
+import lightpanes
 import numpy as np
 from atrium import atrium
 from kit import Shape, animate, camera, diffuse, lamp, principled, save, start
 from mathutils import Matrix, Vector
+from tabletop import glass
 
 HERE = Path(__file__).resolve().parent
 
@@ -437,13 +439,22 @@ def _flight(name, material, count, run, rise, width, place, thickness=0.16, hang
     return shape.build(name, material, place=place)
 
 
-SAMPLES = {"cornell": cornell, "pillars": pillars, "two_rooms": two_rooms, "stairs": stairs, "atrium": atrium}
+SAMPLES = {
+    "cornell": cornell,
+    "pillars": pillars,
+    "two_rooms": two_rooms,
+    "stairs": stairs,
+    "atrium": atrium,
+    "glass": glass,
+}
 
 
 def main(names: list[str]) -> None:
     unknown = set(names) - set(SAMPLES)
     if unknown:
         sys.exit(f"Unknown sample: {', '.join(sorted(unknown))}. There are {', '.join(SAMPLES)}.")
+    # some samples have settings of its own
+    lightpanes.register()
     for name in names or SAMPLES:
         SAMPLES[name]()
         path = HERE / f"{name}.blend"

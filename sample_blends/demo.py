@@ -41,7 +41,7 @@ def main() -> int:
     lightpanes.register()
     start = time.perf_counter()
     with commands.Bar() as bar:
-        with _quiet():
+        with quiet():
             bpy.ops.wm.open_mainfile(filepath=str(source), load_ui=False)
             scene = bpy.context.scene
             if options.error is not None:
@@ -96,7 +96,9 @@ def _relight_all(scene, bar) -> dict:
 
 def _views(scene, options, output, bar) -> list[dict]:
     """One picture for each of five frames: direct light, ours and Cycles side by side."""
-    _prepare(scene, options)
+    prepare(scene, options.size)
+    # what gloss focuses is another matter; our light knows none, so that neither shows it
+    scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = False
     lamp = next(item for item in scene.objects if item.type == "LIGHT" and item.animation_data)
     frames = np.linspace(scene.frame_start, scene.frame_end, PLACES + 1)[:-1]
     frames = np.round(frames + (frames[1] - frames[0]) / 2).astype(int)
@@ -115,11 +117,11 @@ def _views(scene, options, output, bar) -> list[dict]:
             scene.cycles.diffuse_bounces = BOUNCES if traced else 0
             scene.cycles.max_bounces = BOUNCES if traced else bounces[1]
             begin = time.perf_counter()
-            panels.append(_render(scene, samples, output))
+            panels.append(render(scene, samples, output))
             seconds.append(time.perf_counter() - begin)
         picture = output / f"view_{number + 1}.png"
         direct, lit, truth = panels
-        _compose(scene, panels, picture)
+        compose(scene, panels, picture)
         views.append(
             {
                 "picture": picture.name,
@@ -137,31 +139,30 @@ def _views(scene, options, output, bar) -> list[dict]:
     return views
 
 
-def _prepare(scene, options):
-    render = scene.render
-    render.engine = "CYCLES"
+def prepare(scene, size):
+    """Let Cycles render pictures so many pixels wide, denoised, into OpenEXR."""
+    output = scene.render
+    output.engine = "CYCLES"
     scene.cycles.device = "CPU"
     scene.cycles.use_denoising = True
     scene.cycles.denoiser = "OPENIMAGEDENOISE"
     scene.cycles.use_adaptive_sampling = False
-    # caustics are another matter; our light knows none, so that neither shows them
-    scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = False
     scene.cycles.sample_clamp_indirect = 0.0
-    aspect = render.resolution_y / render.resolution_x
-    render.resolution_x, render.resolution_y = options.size, round(options.size * aspect)
-    render.resolution_percentage = 100
-    render.use_persistent_data = False
-    render.image_settings.file_format = "OPEN_EXR"
-    render.image_settings.color_mode, render.image_settings.color_depth = "RGB", "32"
+    aspect = output.resolution_y / output.resolution_x
+    output.resolution_x, output.resolution_y = size, round(size * aspect)
+    output.resolution_percentage = 100
+    output.use_persistent_data = False
+    output.image_settings.file_format = "OPEN_EXR"
+    output.image_settings.color_mode, output.image_settings.color_depth = "RGB", "32"
 
 
-def _render(scene, samples, output) -> np.ndarray:
+def render(scene, samples, output) -> np.ndarray:
     """(H, W, 3) float32 linear picture, row 0 at the bottom."""
     scene.cycles.samples = samples
     path = output / ".panel.exr"
     scene.render.filepath = str(path)
     try:
-        with _quiet():
+        with quiet():
             bpy.ops.render.render(write_still=True)
             image = bpy.data.images.load(str(path))
         image.colorspace_settings.name = "Non-Color"
@@ -173,7 +174,7 @@ def _render(scene, samples, output) -> np.ndarray:
     return pixels.reshape(scene.render.resolution_y, scene.render.resolution_x, -1)[..., :3]
 
 
-def _compose(scene, panels, path: Path) -> None:
+def compose(scene, panels, path: Path, labels=LABELS) -> None:
     """Panels side by side, as the scene's own view transform shows them, with their labels above."""
     height, width = panels[0].shape[:2]
     canvas = np.zeros((height + STRIP, width * len(panels) + GAP * (len(panels) - 1), 4), np.float32)
@@ -198,14 +199,14 @@ def _compose(scene, panels, path: Path) -> None:
     with blf.bind_imbuf(0, picture):
         blf.size(0, 16)
         blf.color(0, 0.9, 0.9, 0.9, 1)
-        for k, label in enumerate(LABELS):
+        for k, label in enumerate(labels):
             blf.position(0, k * (width + GAP) + (width - blf.dimensions(0, label)[0]) / 2, height + 9, 0)
             blf.draw_buffer(0, label)
     imbuf.write(picture, filepath=str(path))
 
 
 @contextlib.contextmanager
-def _quiet():
+def quiet():
     """Blender writes each step of a render to stdout from C; that belongs beside no progress bar."""
     sys.stdout.flush()
     kept = os.dup(1)

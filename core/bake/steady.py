@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..caustics import CausticAtlas
 from ..lights import irradiance, sky_radiance
+from ..panes.caustic_light import CausticLight
 from ..panes.entry_light import EntryLight, EntrySurface
 from ..rays import Tracer
 from ..scene import Light, Scene, Sky
@@ -39,6 +41,17 @@ def static_light(scene: Scene, surface: EntrySurface, tracer: Tracer, seed: int)
         return None
     eyes = EntryLight(surface, tracer, seed, few=PLACES)
     return sum(_coloured(eyes.unit(light), light) for light in lamps)
+
+
+def static_caustics(scene: Scene, surface: EntrySurface, resolution: int, tracer: Tracer, seed: int) -> np.ndarray:
+    """(n, 3) float32 irradiance of the entries, W/m², by what mirrors and glass make of the light of lamps that are not
+    live."""
+    atlas = CausticAtlas(scene, resolution, seed=seed)
+    lamps = static_lamps(scene)
+    # all at once, for it holds the last ones
+    atlas.image(lamps)
+    focused = CausticLight(surface, atlas.landings, tracer.offset)
+    return sum(_coloured(focused.unit(light), light) for light in lamps)
 
 
 def piece_excess(

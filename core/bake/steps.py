@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..caustics import casters
 from ..panes.entry_light import EntrySurface
 from ..panes.modes import Modes, learn_modes, training_fields
 from ..panes.regions import features, make_regions, nearest, rooms, signature, split_regions, starts_of
@@ -20,7 +21,7 @@ from ..transfer import Entries, Gatherer, Transport, find_entries, make_gatherer
 from ..transfer.entries import MAX_ALBEDO, PLACES
 from .clock import Clock
 from .kept import Kept
-from .steady import piece_excess, sky_bins, static_light, steady_light
+from .steady import piece_excess, sky_bins, static_caustics, static_light, steady_light
 
 PILOTS = 32_768
 """Texels, about, whose rays find the entries where points are the exits."""
@@ -82,13 +83,16 @@ class Prepared:
 
 @dataclass(frozen=True)
 class Surfaces:
-    """What a bake starts from, whatever its budget. at_points: whether exits are points."""
+    """What a bake starts from, whatever its budget. at_points: whether exits are points. focuses: whether anything casts
+    caustics."""
 
     scene: Scene
     texels: Texels
     vertices: Vertices
     tracer: Tracer
     at_points: bool
+    resolution: int
+    focuses: bool
 
 
 def prepare(scene: Scene, settings: Settings, clock: Clock | None = None, kept: Kept | None = None) -> Prepared:
@@ -102,7 +106,10 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None, kept: 
     clock.start("Surfaces")
     texels, vertices = make_texels(scene, settings.resolution), make_vertices(scene)
     at_points = uses_points(settings, budget, len(texels), len(vertices))
-    surfaces = Surfaces(scene, texels, vertices, Tracer(scene), at_points)
+    focusing = casters(scene)
+    # what focuses a lamp's light casts a shadow of it
+    tracer = Tracer(scene, solid=None if focusing is None else focusing.triangles)
+    surfaces = Surfaces(scene, texels, vertices, tracer, at_points, settings.resolution, focusing is not None)
     if not settings.time_budget:
         return _prepare(surfaces, settings, budget, clock, kept)
     least = part_of(budget, settings, 0.0)
@@ -188,7 +195,10 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
     else:
         modes, weights, test_direct = *no_panes(entries), None
     static = static_light(scene, surface, tracer, seed)
-    steady, shine = steady_light(scene.sky, bins, entries, transport, static)
+    arriving = static
+    if static is not None and surfaces.focuses:
+        arriving = static + static_caustics(scene, surface, surfaces.resolution, tracer, seed)
+    steady, shine = steady_light(scene.sky, bins, entries, transport, arriving)
     tables = _tables(modes, steady, shine, gatherer.size)
     if test_direct is None:
         # without panes there is room for a row for every piece of every entry

@@ -1,7 +1,7 @@
 """Where mirrors and glass focus the lamps' light: photons as beams, refined where light converges (adaptive caustics)."""
 
 from .atlas import PHOTONS, CausticAtlas, Progress
-from .casters import SHARP, Casters, casters
+from .casters import SHARP, Casters, casters, is_caster
 from .lamp import Energy, Landings
 
-__all__ = ["PHOTONS", "SHARP", "Casters", "CausticAtlas", "Energy", "Landings", "Progress", "casters"]
+__all__ = ["PHOTONS", "SHARP", "Casters", "CausticAtlas", "Energy", "Landings", "Progress", "casters", "is_caster"]

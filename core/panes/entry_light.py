@@ -88,7 +88,11 @@ class EntryLight:
         found = found.reshape(self.few, count, *found.shape[1:]).mean(axis=0)
         near = self._near(light)
         if len(near):
-            found[near] = self._closely(light, near)
+            closely = self._closely(light, near)
+            # tints are known where any ray was traced
+            if closely.ndim > found.ndim:
+                found = np.repeat(found[:, None], 3, axis=1)
+            found[near] = closely if closely.ndim == found.ndim else closely[:, None]
         return found
 
     def _near(self, light):

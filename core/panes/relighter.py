@@ -48,13 +48,17 @@ class Relighter:
     """Relights a bake. Only lamps that changed are computed again.
 
     panes: of a bake. tracer: shadow rays in the scene as it is now. extra: further direct irradiance of the entries,
-    (n, 3) float32, under a lamp of unit power, such as what mirrors and glass send there (`CausticLight.unit`).
+    (n, 3) float32, under a lamp of unit power, such as what mirrors and glass send there (`CausticLight.unit`), or None;
+    another array each time that it changes. It may be set anew at any time.
     """
 
-    def __init__(self, panes: Panes, tracer: Tracer, seed: int = 0, extra: Callable[[Light], np.ndarray] | None = None):
+    def __init__(
+        self, panes: Panes, tracer: Tracer, seed: int = 0, extra: Callable[[Light], np.ndarray | None] | None = None
+    ):
         self.panes, self.extra = panes, extra
         self.entry_light = EntryLight(panes.surface, tracer, seed)
         self._unit: dict[tuple, np.ndarray] = {}
+        self._beside: dict[int, np.ndarray] = {}
         self._weights: dict[tuple, np.ndarray] = {}
         self._blocks, self._region, slot = _blocks(panes.rows, panes.starts)
         # places of red in the blocks, green and blue follow at a BLOCK's distance; the last three are black
@@ -72,12 +76,15 @@ class Relighter:
 
     def pane_weights(self, lights: Sequence[Light]) -> np.ndarray:
         """(m, 3) float32 sum of all live lamps' weights; lamps seen before in the same place cost nothing."""
-        unit, weights = {}, {}
+        unit, weights, beside = {}, {}, {}
         for light in lights:
             if not light.live:
                 continue
             place = light.geometry
-            key = (place, light.power.tobytes())
+            extra = None if self.extra is None else self.extra(light)
+            # known by its number as long as it is kept
+            beside[id(extra)] = extra
+            key = (place, light.power.tobytes(), id(extra))
             if key in weights:
                 weights[key] = (weights[key][0], weights[key][1] + 1)
                 continue
@@ -88,21 +95,17 @@ class Relighter:
             if place not in unit:
                 unit[place] = self._unit.get(place)
                 if unit[place] is None:
-                    unit[place] = self._direct(light)
+                    unit[place] = self.entry_light.unit(light)
             direct = unit[place] if unit[place].ndim == 2 else unit[place][:, None]
+            if extra is not None:
+                direct = direct + extra
             weights[key] = (self.panes.weights.of(direct * light.power.astype(np.float32)), 1)
-        self._unit, self._weights = unit, {key: value for key, (value, _) in weights.items()}
+        self._unit, self._beside = unit, beside
+        self._weights = {key: value for key, (value, _) in weights.items()}
         total = np.zeros((len(self.panes.weights.first), 3), np.float32)
         for value, times in weights.values():
             total += value * np.float32(times)
         return total
-
-    def _direct(self, light):
-        """(n,) or (n, 3) float32 irradiance of the entries under a lamp of unit power."""
-        found = self.entry_light.unit(light)
-        if self.extra is None:
-            return found
-        return (found if found.ndim == 2 else found[:, None]) + self.extra(light)
 
     def combine(self, weights: np.ndarray) -> np.ndarray:
         """Irradiance of all texels for pane weights (m, 3): each region blends its own panes.
@@ -151,7 +154,7 @@ class Relighter:
         """
         whole = self.relight([light for group in groups for light in group])[..., :3].copy()
         steady = self._display.image(self._steady.copy())[..., :3].copy()
-        unit, weights = self._unit, self._weights
+        kept = self._unit, self._beside, self._weights
         parts = []
         for group in groups:
             light = self.combine(self.pane_weights(group)).copy()
@@ -160,7 +163,7 @@ class Relighter:
             above = self._display.image(light.copy())[..., :3].copy()
             parts.append(above - self._display.image(-light)[..., :3])
             # of all lamps, for the next group and the next relight
-            self._unit, self._weights = unit, weights
+            self._unit, self._beside, self._weights = kept
         if parts:
             parts[-1] += whole - steady - np.sum(parts, axis=0)
         return parts, steady

@@ -43,6 +43,7 @@ class Entries:
     a patch its places lie on the part that is left, and area counts that part only.
     patch: (n,) int32. back: (n,) bool, the patch's reverse. area: (n,) float64 m². position, normal:
     (n, 3) float32. albedo: (n, 3) float32 in [0, MAX_ALBEDO]. radiosity: (n, 3) float32 emitted, W/m².
+    opaque: (n,) float32 part of the light that stays, in (0, 1]; albedo and radiosity are those of this part.
     front_id, back_id: (patches,) int32 entry of each patch's side, n where it has none. hidden: (n,) bool, entries of
     which only a sliver shows: all their places lie inside other things.
     """
@@ -54,6 +55,7 @@ class Entries:
     normal: np.ndarray
     albedo: np.ndarray
     radiosity: np.ndarray
+    opaque: np.ndarray
     front_id: np.ndarray
     back_id: np.ndarray
     places: SurfaceSamples
@@ -171,6 +173,7 @@ def _make(patches, sides, places, hidden):
         normal=patches.normal[patch] * sign,
         albedo=np.clip(patches.albedo[patch] / opaque, 0, MAX_ALBEDO).astype(np.float32),
         radiosity=(np.pi * patches.emission[patch] / opaque).astype(np.float32),
+        opaque=opaque[:, 0].astype(np.float32),
         front_id=front_id,
         back_id=back_id,
         places=places,

@@ -91,7 +91,8 @@ def make_transport(
     samples = [points.take(np.arange(count) * places + k) for k in range(PAIR_SAMPLES)]
     size = entries.span()
     terms = sample_pairs(samples, size, gatherer.offset, gatherer.visible, tick)
-    area = entries.area.astype(np.float32)
+    # by which reciprocity holds: of what is see-through others see only the opaque part
+    area = entries.area.astype(np.float32) * entries.opaque
     middle = entries.position - entries.position.mean(axis=0)
     for start in range(0, count, 512):
         # block by block of the upper triangle, in place: a second full matrix would double the memory

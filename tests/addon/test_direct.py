@@ -8,7 +8,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from lightpanes.addon import commands, direct, following, linking, relight, store  # noqa: E402
+from lightpanes.addon import commands, direct, following, linking, live_image, relight, store  # noqa: E402
 from lightpanes.addon import panel as drawn_panel  # noqa: E402
 from lightpanes.core.metrics import relative_rmse  # noqa: E402
 from lightpanes.core.penumbra import DirectLight  # noqa: E402
@@ -243,7 +243,7 @@ def look(until, seconds=20.0):
     end = time.monotonic() + seconds
     while not until():
         assert time.monotonic() < end
-        direct._look()
+        live_image.look()
         time.sleep(0.001)
 
 
@@ -251,7 +251,7 @@ def look(until, seconds=20.0):
 def window(baked_panel, monkeypatch):
     """Changes are followed by the timer alone."""
     bpy.app.handlers.depsgraph_update_post.remove(following._on_update)
-    monkeypatch.setattr(direct, "REST", 1e9)
+    monkeypatch.setattr(live_image, "REST", 1e9)
     yield baked_panel
     bpy.app.handlers.depsgraph_update_post.append(following._on_update)
 
@@ -268,9 +268,9 @@ def test_a_dragged_lamp_is_followed_coarsely_and_then_in_full(window, monkeypatc
     assert np.array_equal(image(), before), "the indirect light does not wait for it"
     look(lambda: not mine.shown)
     coarse, key = image(), mine.coarse
-    monkeypatch.setattr(direct, "REST", 0.0)
+    monkeypatch.setattr(live_image, "REST", 0.0)
     look(lambda: mine.shown)
-    assert mine.shown == key and mine.asked is None and direct._look() is None
+    assert mine.shown == key and mine.asked is None and live_image.look() is None
     # neighbours share a value, so that a coarse image lags by a texel, which is 10 cm here
     assert relative_rmse(coarse, image(), store.load_bake(window).own, 4) < 0.2
     assert error() < 0.03
@@ -279,7 +279,7 @@ def test_a_dragged_lamp_is_followed_coarsely_and_then_in_full(window, monkeypatc
 def test_an_image_that_nobody_wants_any_more_is_dropped(window):
     before, mine = image(), direct.held(window)
     move(0.4)
-    direct._look()
+    live_image.look()
     move(-0.3)
     look(lambda: mine.work is None)
     assert np.array_equal(image(), before)
@@ -292,7 +292,7 @@ def test_an_edit_while_a_lamp_is_dragged(window, monkeypatch):
     update()
     relight.check_stale(bpy.context)
     follow()
-    monkeypatch.setattr(direct, "REST", 0.0)
+    monkeypatch.setattr(live_image, "REST", 0.0)
     look(lambda: mine.shown)
     assert error() < 0.04
 
@@ -303,8 +303,8 @@ def test_undo_while_a_lamp_is_dragged(window, monkeypatch):
     move(0.4)
     bpy.ops.ed.undo_push(message="Moved")
     bpy.ops.ed.undo()
-    monkeypatch.setattr(direct, "REST", 0.0)
-    look(lambda: mine.work is None and direct._look() is None)
+    monkeypatch.setattr(live_image, "REST", 0.0)
+    look(lambda: mine.work is None and live_image.look() is None)
     assert np.allclose(image(), before, rtol=1e-5, atol=1e-6)
 
 

@@ -19,6 +19,7 @@ SAMPLES = {
     "two_rooms": (500, 5_000),
     "stairs": (1_000, 5_000),
     "atrium": (60_000, 120_000),
+    "glass": (15_000, 24_000),
 }
 LAMPS = {
     "cornell": {"POINT"},
@@ -26,6 +27,7 @@ LAMPS = {
     "two_rooms": {"POINT", "SUN"},
     "stairs": {"AREA"},
     "atrium": {"POINT", "AREA", "SUN"},
+    "glass": {"POINT", "SPOT"},
 }
 
 

@@ -1,6 +1,7 @@
 """The runtime against slow, clear versions: the full solve with stored ids, plain products, closed forms."""
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -360,3 +361,13 @@ def test_runtime_needs_no_more_than_the_bake_holds(tmp_path):
     again = Relighter(type(baked).load(tmp_path / "room.npz").panes(), Tracer(made))
     lights = [lamp(PLACES_IN_ROOM[1])]
     assert np.array_equal(again.relight(lights), relighter(made, baked).relight(lights))
+
+
+def test_a_lamp_behind_a_wall_and_tinted_glass():
+    """The entries near the lamp face away from it, so that no ray says that light there is tinted."""
+    baked = baked_room()[1]
+    tinted = SimpleNamespace(visibility=lambda origins, _: np.tile(np.float32([1, 0.5, 0]), (len(origins), 1)))
+    behind = lamp((2, 1.5, -0.05))
+    found = EntryLight(baked.panes().surface, tinted).unit(behind)
+    assert found.shape == (len(baked.panes().surface), 3) and found[:, 0].max() > 0
+    assert np.allclose(found[:, 1], 0.5 * found[:, 0]) and not found[:, 2].any()

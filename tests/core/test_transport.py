@@ -82,6 +82,22 @@ def test_reciprocity_and_energy_in_a_closed_room():
     assert transport.between.min() >= 0
 
 
+def test_clear_glass_takes_no_light():
+    """Surfaces that let nearly all light pass change nothing, however many entries they have."""
+    walls, block = box((0, 0, 0), (4, 3, 2.5), inward=True), box((1, 1, 0.5), (3, 2, 2))
+    clear = Material("Clear", albedo=(0, 0, 0), transmission=(0.98,) * 3)
+    means = []
+    for parts in (((*walls, 0),), ((*walls, 0), (*block, 1))):
+        made = scene(*parts, materials=(Material("Wall", albedo=(0.7,) * 3), clear))
+        patches, _, entries, _, transport = transport_of(made, 600)
+        wall = made.triangle_object[patches.parent[np.unique(patches.patch, return_index=True)[1]]][entries.patch] == 0
+        source = (wall & (entries.normal[:, 2] > 0.5))[:, None].astype(np.float32)
+        light = transport.solve(entries.albedo[:, :1], source)[:, 0] - source[:, 0]
+        means.append(np.average(light[wall], weights=entries.area[wall]))
+    # a fifth of the rays meets the block, whose two faces keep 4 %, at each bounce
+    assert 0.95 < means[1] / means[0] < 1.0
+
+
 def test_slivers_make_no_light():
     # a strip a hundred times as long as wide: by its area it is small, but its places are far apart
     strips = [(*quad((0, 0.02 * k, 0), (2, 0, 0), (0, 0.02, 0)), k % 2) for k in range(50)]
