@@ -1,0 +1,196 @@
+"""Light that comes to points by bounces: a path from each, which ends where a bake or a coarse cache knows the rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..lights import sky_radiance
+from ..rays import chunks
+from ..sampling import hash_uint32, hash_uniform
+from ..scene import Sky
+from ..threads import in_threads
+from .gbuffer import CHUNK
+from .light import Baked, Lamps
+from .looks import corner_values, sample
+from .surfaces import Surfaces
+
+FEED = 0.5
+"""Part of the secondary hits from which a ray goes on to feed the coarse cache; all of them read it."""
+
+BRIGHTEST = 0.98
+"""Albedo at a bounce, at most: between white walls light would never die out."""
+
+_PI = np.float32(np.pi)
+_DIMENSIONS = 8
+"""Random numbers of a bounce; each is a stream of hashes of its own."""
+
+
+@dataclass(frozen=True)
+class Light:
+    """Irradiance at n points, one sample each, (n, 3) float32 W/m². first: from sky and emissive faces that they see;
+    indirect: after at least one bounce. way: (n,) m to what the sample's ray met, infinite for the sky."""
+
+    first: np.ndarray
+    indirect: np.ndarray
+    way: np.ndarray
+
+    @property
+    def total(self) -> np.ndarray:
+        return self.first + self.indirect
+
+
+@dataclass(frozen=True)
+class _Vertices:
+    """Where m of n paths land. rows: (m,) of the n. position (m, 3) m, lifted; normal, flat (m, 3) unit. factor (m, 3):
+    irradiance here to irradiance where the path comes from. light: (m, 3) W/m², that of lamps and of what a bake knows.
+    open: (m,) bool, where the rest is not known. object_id: (m,)."""
+
+    rows: np.ndarray
+    position: np.ndarray
+    normal: np.ndarray
+    flat: np.ndarray
+    factor: np.ndarray
+    light: np.ndarray
+    open: np.ndarray
+    object_id: np.ndarray
+
+
+class PathTracer:
+    """Follows light through a scene. baked: images that know the light at surfaces of the atlas.
+
+    coarse: a world-space cache of irradiance with `look_up`, `add` and `read`, which ends paths; None to follow them on.
+    """
+
+    def __init__(
+        self,
+        surfaces: Surfaces,
+        lamps: Lamps,
+        sky: Sky | None,
+        baked: Baked | None = None,
+        coarse=None,
+        seed: int = 0,
+    ):
+        self.surfaces, self.lamps, self.sky = surfaces, lamps, sky
+        self.coarse, self.seed = coarse, seed
+        self.bake = BakedLight(surfaces, baked) if baked is not None else None
+
+    def gather(self, position, normal, flat, pixel, footprint, u, frame: int, bounces: int) -> Light:
+        """One path from each of n points.
+
+        position: lifted off the surface. pixel: (n,) names the points in hashes. footprint: (n,) m. u: (n, 2) in
+        [0, 1), the first direction. bounces: after which paths end, at most.
+        """
+        seed = int(hash_uint32(np.array([frame]), 77, self.seed)[0])
+        return self._gather(position, normal, flat, pixel, footprint, u, seed, bounces, 0)
+
+    def _gather(self, position, normal, flat, pixel, footprint, u, seed, bounces, turn) -> Light:
+        first, way, at = self._step(position, normal, flat, pixel, u, seed, turn)
+        indirect = np.zeros_like(first)
+        if bounces < 1:
+            return Light(first, indirect, way)
+        light = at.light
+        rest = np.flatnonzero(at.open)
+        if bounces > 1 and len(rest):
+            go_on = self._end_in_cache if self.coarse is not None else self._go_on
+            go_on(light, at, rest, pixel, footprint, seed, bounces, turn)
+        indirect[at.rows] = at.factor * light
+        return Light(first, indirect, way)
+
+    def _go_on(self, light, at, rest, pixel, footprint, seed, bounces, turn):
+        """Follow paths on, each with the chance that it matters (Russian roulette)."""
+        survive = np.clip(at.factor[rest].max(axis=1), 0.1, 1)
+        who = pixel[at.rows[rest]]
+        lives = np.flatnonzero(hash_uniform(who, _DIMENSIONS * (turn + 1) + 6, seed) < survive)
+        rows = rest[lives]
+        deeper = self._deeper(at, rows, pixel, footprint, seed, bounces - 1, turn)
+        light[rows] += deeper.total / survive[lives, None]
+
+    def _end_in_cache(self, light, at, rest, pixel, footprint, seed, bounces, turn):
+        """Read the coarse cache where paths land, and feed it from a part of these places."""
+        span = footprint[at.rows[rest]]
+        places = self.coarse.look_up(at.position[rest], at.normal[rest], at.object_id[rest], span)
+        if turn == 0:
+            who = pixel[at.rows[rest]]
+            feeds = np.flatnonzero(hash_uniform(who, _DIMENSIONS + 6, seed) < FEED)
+            deeper = self._deeper(at, rest[feeds], pixel, footprint, seed, bounces - 1, turn)
+            self.coarse.add(places.take(feeds), deeper.total)
+        light[rest] += self.coarse.read(places)
+
+    def _deeper(self, at, rows, pixel, footprint, seed, bounces, turn) -> Light:
+        base, origin = _DIMENSIONS * (turn + 1), at.rows[rows]
+        u = np.stack([hash_uniform(pixel[origin], base + k, seed) for k in (4, 5)], axis=1)
+        return self._gather(
+            at.position[rows], at.normal[rows], at.flat[rows], pixel[origin], footprint[origin], u, seed, bounces, turn + 1
+        )  # fmt: skip
+
+    def _step(self, position, normal, flat, pixel, u, seed, turn) -> tuple[np.ndarray, np.ndarray, _Vertices]:
+        """One ray from each point: light of sky and emission that it meets (n, 3), its way (n,) m, and where it lands."""
+        parts = in_threads(
+            lambda s: self._step_part(position[s], normal[s], flat[s], pixel[s], u[s], seed, turn),
+            chunks(len(position), CHUNK),
+        )
+        if not parts:
+            parts = [self._step_part(position, normal, flat, pixel, u, seed, turn)]
+        first, way, vertices = zip(*parts, strict=True)
+        columns = list(zip(*([getattr(v, k) for k in _Vertices.__dataclass_fields__] for v in vertices), strict=True))
+        columns[0] = [rows + CHUNK * k for k, rows in enumerate(columns[0])]
+        return np.concatenate(first), np.concatenate(way), _Vertices(*(np.concatenate(c) for c in columns))
+
+    def _step_part(self, position, normal, flat, pixel, u, seed, turn):
+        surfaces, base = self.surfaces, _DIMENSIONS * turn
+        directions = surfaces.scatter(normal, flat, u)
+        chance = None
+        if surfaces.see_through.any():
+            chance = hash_uniform(pixel, base + 3, seed)
+        found = surfaces.land(surfaces.reflecting, position, directions, chance)
+        first, way = np.zeros((len(position), 3), np.float32), np.full(len(position), np.inf, np.float32)
+        if self.sky is not None and len(found.missed):
+            light = sky_radiance(self.sky, directions[found.missed]) * _PI
+            first[found.missed] = light if found.missed_weight is None else light * found.missed_weight
+        rows, triangle, u, v = found.rows, found.triangle, found.u, found.v
+        way[rows] = found.distance
+        heading = directions[rows]
+        hit = position[rows] + found.distance[:, None] * heading
+        normal, flat = surfaces.normals(triangle, u, v, heading)
+        if surfaces.looks.emits:
+            light = surfaces.looks.emission(triangle, u, v) * _PI
+            first[rows] += light if found.weight is None else light * found.weight
+        factor = np.minimum(surfaces.looks.albedo(triangle, u, v), BRIGHTEST)
+        if found.weight is not None:
+            factor *= found.weight
+        hit += surfaces.offset * flat
+        who = pixel[rows]
+        spot = np.stack([hash_uniform(who, base + k, seed) for k in (0, 1)], axis=1) if len(self.lamps) else None
+        if spot is not None:
+            pick = hash_uniform(who, base + 2, seed) if len(self.lamps) > 1 else None
+            light = self.lamps.irradiance(hit, normal, spot, pick, most=1)
+        else:
+            light = np.zeros_like(hit)
+        unknown = np.ones(len(rows), bool)
+        if self.bake is not None:
+            known = np.flatnonzero(self.bake.knows[triangle])
+            unknown[known] = False
+            read = self.bake.read(triangle[known], u[known], v[known])
+            light[known] += sum(read)
+        owner = surfaces.scene.triangle_object[triangle]
+        return first, way, _Vertices(rows, hit, normal, flat, factor, light, unknown, owner)
+
+
+class BakedLight:
+    """A bake's light at places on surfaces. knows: (T,) bool, the triangles whose light it holds."""
+
+    def __init__(self, surfaces: Surfaces, baked: Baked):
+        self._scene, self._baked = surfaces.scene, baked
+        receives = np.array([o.receives and not o.at_vertices for o in self._scene.objects], bool)
+        self.knows = receives[self._scene.triangle_object] & np.isfinite(self._scene.atlas_uv).all((1, 2))
+
+    def read(self, triangle, u, v) -> tuple[np.ndarray, np.ndarray]:
+        """First light and caustics together, and indirect light, (n, 3) float32 W/m² each."""
+        uv = corner_values(self._scene.atlas_uv, triangle, u, v)
+        first = np.zeros((len(uv), 3), np.float32)
+        for image in (self._baked.first, self._baked.caustics):
+            if image is not None:
+                first += sample(image, uv)
+        return first, sample(self._baked.irradiance, uv)
