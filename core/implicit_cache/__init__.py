@@ -1,0 +1,5 @@
+"""What can be shown before any bake: shading kept in world space, in a hash table, while frames come in (Delaere 2021)."""
+
+from .cache import Cache, Places
+
+__all__ = ["Cache", "Places"]
