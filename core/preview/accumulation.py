@@ -1,4 +1,4 @@
-"""What frames add up to: plain means per pixel, behind the interface of the world-space cache, and the film."""
+"""What frames add up to: plain means per pixel, as the world-space cache has them between pixels, and the film."""
 
 from __future__ import annotations
 
@@ -6,25 +6,14 @@ import numpy as np
 
 
 class PixelCache:
-    """Each look-up's rows keep their own mean. What the world-space cache is compared with.
+    """A mean for each pixel, in place of the world-space cache: what that is compared with.
 
-    channels: of the values.
+    channels: of the values. Places are the numbers of pixels, (n,) int.
     """
 
-    def __init__(self, channels: int):
-        self._channels = channels
-        self._sum = np.zeros((0, channels), np.float32)
-        self._count = np.zeros(0, np.float32)
-
-    def look_up(self, position, normal, object_id, footprint, pixel=None) -> np.ndarray:
-        """Where values at points belong: here the pixels themselves, (n,) int."""
-        rows = np.arange(len(position)) if pixel is None else pixel
-        need = int(rows.max(initial=-1)) + 1
-        if need > len(self._count):
-            more = need - len(self._count)
-            self._sum = np.concatenate([self._sum, np.zeros((more, self._channels), np.float32)])
-            self._count = np.concatenate([self._count, np.zeros(more, np.float32)])
-        return rows
+    def __init__(self, channels: int, pixels: int):
+        self._sum = np.zeros((pixels, channels), np.float32)
+        self._count = np.zeros(pixels, np.float32)
 
     def add(self, places: np.ndarray, values: np.ndarray) -> None:
         """values: (n, C). A place may not occur twice."""
@@ -36,7 +25,14 @@ class PixelCache:
         return self._sum[places] / np.maximum(self._count[places], 1)[:, None]
 
     def clear(self) -> None:
+        """Forget all."""
         self._sum[:], self._count[:] = 0, 0
+
+    drop = clear
+
+    def holds(self, places: np.ndarray) -> bool:
+        """Whether places are still known: always."""
+        return True
 
 
 class Film:

@@ -16,8 +16,12 @@ from .light import Baked, Lamps
 from .looks import corner_values, sample
 from .surfaces import Surfaces
 
-FEED = 0.5
-"""Part of the secondary hits from which a ray goes on to feed the coarse cache; all of them read it."""
+FEED = (0.25, 0.0625)
+"""Part of the secondary hits from which paths go on to feed the coarse cache, in the first FEEDING frames and at last;
+all of them read it."""
+
+FEEDING = 8
+"""Frames; from then on the part falls as one over their number."""
 
 BRIGHTEST = 0.98
 """Albedo at a bounce, at most: between white walls light would never die out."""
@@ -60,7 +64,7 @@ class _Vertices:
 class PathTracer:
     """Follows light through a scene. baked: images that know the light at surfaces of the atlas.
 
-    coarse: a world-space cache of irradiance with `look_up`, `add` and `read`, which ends paths; None to follow them on.
+    coarse: a world-space cache of irradiance (implicit_cache.Cache), which ends paths; None to follow them on.
     """
 
     def __init__(
@@ -73,19 +77,22 @@ class PathTracer:
         seed: int = 0,
     ):
         self.surfaces, self.lamps, self.sky = surfaces, lamps, sky
-        self.coarse, self.seed = coarse, seed
+        self.coarse, self.seed, self.frames, self.feed = coarse, seed, 0, FEED[0]
         self.bake = BakedLight(surfaces, baked) if baked is not None else None
 
-    def gather(self, position, normal, flat, pixel, footprint, u, frame: int, bounces: int) -> Light:
+    def gather(self, position, normal, flat, pixel, span: float, u, frame: int, bounces: int) -> Light:
         """One path from each of n points.
 
-        position: lifted off the surface. pixel: (n,) names the points in hashes. footprint: (n,) m. u: (n, 2) in
-        [0, 1), the first direction. bounces: after which paths end, at most.
+        position: lifted off the surface. pixel: (n,) uint32 names the points in hashes. span: m, a pixel's width at
+        most surfaces, the unit of the coarse cache. u: (n, 2) in [0, 1), the first direction. bounces: after which
+        paths end, at most.
         """
         seed = int(hash_uint32(np.array([frame]), 77, self.seed)[0])
-        return self._gather(position, normal, flat, pixel, footprint, u, seed, bounces, 0)
+        self.feed = max(FEED[1], FEED[0] * min(1.0, FEEDING / (self.frames + 1)))
+        self.frames += 1
+        return self._gather(position, normal, flat, pixel, span, u, seed, bounces, 0)
 
-    def _gather(self, position, normal, flat, pixel, footprint, u, seed, bounces, turn) -> Light:
+    def _gather(self, position, normal, flat, pixel, span, u, seed, bounces, turn) -> Light:
         first, way, at = self._step(position, normal, flat, pixel, u, seed, turn)
         indirect = np.zeros_like(first)
         if bounces < 1:
@@ -93,36 +100,43 @@ class PathTracer:
         light = at.light
         rest = np.flatnonzero(at.open)
         if bounces > 1 and len(rest):
-            go_on = self._end_in_cache if self.coarse is not None else self._go_on
-            go_on(light, at, rest, pixel, footprint, seed, bounces, turn)
+            if self.coarse is not None and turn == 0:
+                self._end_in_cache(light, at, rest, pixel, span, seed, bounces, turn)
+            else:
+                self._go_on(light, at, rest, rest, pixel, span, seed, bounces, turn)
         indirect[at.rows] = at.factor * light
         return Light(first, indirect, way)
 
-    def _go_on(self, light, at, rest, pixel, footprint, seed, bounces, turn):
-        """Follow paths on, each with the chance that it matters (Russian roulette)."""
+    def _go_on(self, light, at, rest, into, pixel, span, seed, bounces, turn):
+        """Follow paths on from `rest`, each with the chance that it matters (Russian roulette), and add what they find
+        to the rows `into` of `light`."""
         survive = np.clip(at.factor[rest].max(axis=1), 0.1, 1)
-        who = pixel[at.rows[rest]]
-        lives = np.flatnonzero(hash_uniform(who, _DIMENSIONS * (turn + 1) + 6, seed) < survive)
-        rows = rest[lives]
-        deeper = self._deeper(at, rows, pixel, footprint, seed, bounces - 1, turn)
-        light[rows] += deeper.total / survive[lives, None]
+        lives = np.flatnonzero(hash_uniform(pixel[at.rows[rest]], _DIMENSIONS * (turn + 1) + 6, seed) < survive)
+        if len(lives):
+            deeper = self._deeper(at, rest[lives], pixel, span, seed, bounces - 1, turn)
+            light[into[lives]] += deeper.total / survive[lives, None]
 
-    def _end_in_cache(self, light, at, rest, pixel, footprint, seed, bounces, turn):
-        """Read the coarse cache where paths land, and feed it from a part of these places."""
-        span = footprint[at.rows[rest]]
-        places = self.coarse.look_up(at.position[rest], at.normal[rest], at.object_id[rest], span)
-        if turn == 0:
-            who = pixel[at.rows[rest]]
-            feeds = np.flatnonzero(hash_uniform(who, _DIMENSIONS + 6, seed) < FEED)
-            deeper = self._deeper(at, rest[feeds], pixel, footprint, seed, bounces - 1, turn)
-            self.coarse.add(places.take(feeds), deeper.total)
-        light[rest] += self.coarse.read(places)
+    def _end_in_cache(self, light, at, rest, pixel, span, seed, bounces, turn):
+        """Read the coarse cache where paths land, and feed it from a part of these places, by paths to the end.
 
-    def _deeper(self, at, rows, pixel, footprint, seed, bounces, turn) -> Light:
+        What it is fed with never comes from it, or the first frames' ignorance would linger.
+        """
+        feeds = hash_uniform(pixel[at.rows[rest]], _DIMENSIONS * (turn + 1) + 7, seed) < self.feed
+        for create, rows in ((True, rest[feeds]), (False, rest[~feeds])):
+            if not len(rows):
+                continue
+            places = self.coarse.look_up(at.position[rows], at.normal[rows], at.object_id[rows], span, create=create)
+            if create:
+                fed = np.zeros((len(rows), 3), np.float32)
+                self._go_on(fed, at, rows, np.arange(len(rows)), pixel, span, seed, bounces, turn)
+                self.coarse.add(places, fed)
+            light[rows] += self.coarse.read(places)
+
+    def _deeper(self, at, rows, pixel, span, seed, bounces, turn) -> Light:
         base, origin = _DIMENSIONS * (turn + 1), at.rows[rows]
         u = np.stack([hash_uniform(pixel[origin], base + k, seed) for k in (4, 5)], axis=1)
         return self._gather(
-            at.position[rows], at.normal[rows], at.flat[rows], pixel[origin], footprint[origin], u, seed, bounces, turn + 1
+            at.position[rows], at.normal[rows], at.flat[rows], pixel[origin], span, u, seed, bounces, turn + 1
         )  # fmt: skip
 
     def _step(self, position, normal, flat, pixel, u, seed, turn) -> tuple[np.ndarray, np.ndarray, _Vertices]:

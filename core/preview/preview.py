@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..implicit_cache import Cache
 from ..rays import chunks
 from ..sampling import hash_uint32
 from ..scene import Light, SceneError, Sky
@@ -24,6 +25,9 @@ PASSES = {"Combined": 4, "Diffuse Color": 3, "Diffuse Direct": 3, "Diffuse Indir
 
 LATER = 2
 """Frame k's view of the cached light counts as k to this power: later ones know more."""
+
+COARSE = 24.0
+"""Cells' edges of the cache that ends paths, in widths of a pixel."""
 
 KEPT_BYTES = 400e6
 """Of views that are kept for a camera at rest."""
@@ -53,13 +57,13 @@ class Settings:
 @dataclass
 class _View:
     """One look through the camera. known: (k,) rows of the G-buffer's m whose indirect light a bake holds, rest: the
-    others. baked: first and indirect light of the known ones. places: of the rest, for each cache."""
+    others. baked: first and indirect light of the known ones. places: of the rest, in the cache."""
 
     buffer: GBuffer
     known: np.ndarray
     rest: np.ndarray
     baked: tuple[np.ndarray, np.ndarray] | None
-    places: list | None = None
+    places: object = None
 
     @property
     def bytes(self) -> int:
@@ -67,8 +71,7 @@ class _View:
 
 
 class Preview:
-    """Frames of a scene through a camera. make_cache: a function of the channels that gives a cache (`look_up`, `add`,
-    `read`, `clear`); coarse: one that ends paths, None to follow them to the end."""
+    """Frames of a scene through a camera, each of one sample a pixel. The same seed gives the same images."""
 
     def __init__(
         self,
@@ -89,13 +92,21 @@ class Preview:
         self.frames = 0
         """Since the camera last moved or the light changed."""
         self._drawn = 0
-        channels = {"first": 3, "indirect": 3, "ao": 1} if self.settings.split else {"light": 3}
-        self._caches, coarse = self._make_caches(channels)
+        self._channels = {"first": 3, "indirect": 3, "ao": 1} if self.settings.split else {"light": 3}
+        self._cache = self._make_cache()
+        coarse = None
+        if self.settings.cached:
+            coarse = Cache(3, fine=COARSE, coarse=None, slots=1 << 18, seed=self.settings.seed)
+        self._span = 0.0
         self._lamps = Lamps(lights, surfaces.tracer, self._bounds)
         self._tracer = PathTracer(surfaces, self._lamps, sky, baked, coarse, self.settings.seed)
 
-    def _make_caches(self, channels):
-        return {name: PixelCache(width) for name, width in channels.items()}, None
+    def _make_cache(self):
+        channels = sum(self._channels.values())
+        if self.settings.cached:
+            return Cache(channels, seed=self.settings.seed)
+        width, height = self.camera.size
+        return PixelCache(channels, width * height)
 
     # ---- what may change ----
 
@@ -104,7 +115,7 @@ class Preview:
         self.camera = camera
         self._views.clear()
         if not self.settings.cached:
-            self._forget_light()
+            self._cache = self._make_cache()
         self._start_again()
 
     def light(self, lights: Sequence[Light], sky: Sky | None, baked: Baked | None = None) -> None:
@@ -112,14 +123,11 @@ class Preview:
         self.sky, self.baked = sky, baked
         self._lamps = Lamps(lights, self.surfaces.tracer, self._bounds)
         self._tracer = PathTracer(self.surfaces, self._lamps, sky, baked, self._tracer.coarse, self.settings.seed)
-        self._forget_light()
+        for cache in (self._cache, self._tracer.coarse):
+            if cache is not None:
+                cache.drop()
         self._views.clear()
         self._start_again()
-
-    def _forget_light(self):
-        for cache in (*self._caches.values(), self._tracer.coarse):
-            if cache is not None:
-                cache.clear()
 
     def _start_again(self):
         self._film.clear()
@@ -193,6 +201,11 @@ class Preview:
             known, rest = np.flatnonzero(held), np.flatnonzero(~held)
             baked = bake.read(buffer.triangle[known], buffer.u[known], buffer.v[known])
         view = _View(buffer, known, rest, baked)
+        if len(buffer.footprint):
+            span = float(np.median(buffer.footprint))
+            # another unit is another cache, so it stays while it is about right
+            if not 0.4 < self._span / max(span, 1e-30) < 2.5:
+                self._span = span
         if (len(self._views) + 1) * view.bytes <= KEPT_BYTES:
             self._views[place] = view
         return view
@@ -232,38 +245,34 @@ class Preview:
         def part(values):
             return values if whole else values[rest]
 
-        made = {name: np.zeros((len(buffer.rows), 1 if name == "ao" else 3), np.float32) for name in self._caches}
+        made = np.zeros((len(buffer.rows), sum(self._channels.values())), np.float32)
         if view.baked is not None:
             first, indirect = view.baked
-            for name, values in (("first", first), ("indirect", indirect), ("light", first + indirect)):
-                if name in made:
-                    made[name][view.known] = values
-        if not len(rest):
-            return made
-        position, normal, owner = part(buffer.position), part(buffer.normal), part(buffer.object_id)
-        pixel, footprint = part(buffer.rows), part(buffer.footprint)
-        bounces = self.settings.bounces
-        light = self._tracer.gather(
-            position, normal, part(buffer.flat), pixel.astype(np.uint32), footprint,
-            part(self._numbers(buffer, 0)), self._drawn, bounces,
-        )  # fmt: skip
-        values = {"first": light.first, "indirect": light.indirect}
-        if "light" in made:
-            values = {"light": light.total}
-        if "ao" in made:
-            values["ao"] = (light.way > self.settings.ao_distance).astype(np.float32)[:, None]
-        if view.places is None:
-            view.places = [
-                cache.look_up(position, normal, owner, footprint, pixel) for cache in self._caches.values()
-            ]
-        for (name, cache), places in zip(self._caches.items(), view.places, strict=True):
-            cache.add(places, values[name])
-            read = cache.read(places)
+            shown = np.concatenate(view.baked, axis=1) if self.settings.split else first + indirect
+            made[view.known, : shown.shape[1]] = shown
+        if len(rest):
+            position, normal, owner = part(buffer.position), part(buffer.normal), part(buffer.object_id)
+            pixel = part(buffer.rows)
+            light = self._tracer.gather(
+                position, normal, part(buffer.flat), pixel.astype(np.uint32), self._span, part(self._numbers(buffer, 0)),
+                self._drawn, self.settings.bounces,
+            )  # fmt: skip
+            values = light.total
+            if self.settings.split:
+                free = (light.way > self.settings.ao_distance).astype(np.float32)
+                values = np.concatenate([light.first, light.indirect, free[:, None]], axis=1)
+            if not self.settings.cached:
+                view.places = pixel
+            elif view.places is None or not self._cache.holds(view.places):
+                view.places = self._cache.look_up(position, normal, owner, part(buffer.footprint))
+            self._cache.add(view.places, values)
+            read = self._cache.read(view.places)
             if whole:
-                made[name] = read
+                made = read
             else:
-                made[name][rest] = read
-        return made
+                made[rest] = read
+        ends = np.cumsum(list(self._channels.values()))[:-1]
+        return dict(zip(self._channels, np.split(made, ends, axis=1), strict=True))
 
 
 def _spread(values: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
