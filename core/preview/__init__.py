@@ -3,8 +3,9 @@
 from .accumulation import PixelCache
 from .camera import Camera
 from .light import Baked, Lamps
+from .gbuffer import background
 from .looks import Texture
 from .preview import PASSES, Preview, Settings
 from .surfaces import Surfaces
 
-__all__ = ["PASSES", "Baked", "Camera", "Lamps", "PixelCache", "Preview", "Settings", "Surfaces", "Texture"]
+__all__ = ["PASSES", "Baked", "Camera", "Lamps", "PixelCache", "Preview", "Settings", "Surfaces", "Texture", "background"]

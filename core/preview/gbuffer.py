@@ -232,3 +232,14 @@ def _fresnel(cosine, beyond, eta):
     s = (eta * cosine - beyond) / np.maximum(eta * cosine + beyond, 1e-20)
     p = (cosine - eta * beyond) / np.maximum(cosine + eta * beyond, 1e-20)
     return (s * s + p * p) / 2
+
+
+def background(camera: Camera, sky: Sky | None, transparent: bool = False) -> np.ndarray:
+    """(height, width, 4) float32 of an image in which there is nothing but the sky."""
+    width, height = camera.size
+    image = np.zeros((height * width, 4), np.float32)
+    if not transparent:
+        image[:, 3] = 1
+        if sky is not None:
+            image[:, :3] = sky_radiance(sky, camera.rays()[1])
+    return image.reshape(height, width, 4)
