@@ -342,7 +342,9 @@ def _place(faces: Faces, matrix, uv, lookup, at_vertices, textures=None) -> _Par
     normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-30)
     slots = np.minimum(faces.slots, len(lookup) - 1)
     loops = loops if at_vertices else None
-    return _Part(positions, triangles, normals.astype(np.float32), uv.astype(np.float32), lookup[slots], loops, textures)
+    return _Part(
+        positions, triangles, normals.astype(np.float32), uv.astype(np.float32), lookup[slots], loops, textures
+    )
 
 
 def fingerprint(context: bpy.types.Context) -> dict[str, str]:

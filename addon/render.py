@@ -58,6 +58,11 @@ def settings_of(scene: bpy.types.Scene, **more) -> Settings:
     )
 
 
+def cancelled(running: bpy.types.RenderEngine) -> bool:
+    """Whether the user ended the render."""
+    return running.test_break()
+
+
 class LIGHTPANES_render_engine(bpy.types.RenderEngine):
     bl_idname = ENGINE
     bl_label = "Lightpanes"
@@ -75,13 +80,14 @@ class LIGHTPANES_render_engine(bpy.types.RenderEngine):
                 self.register_pass(scene, renderlayer, names[name], len(channels), channels, kind)
 
     def render(self, depsgraph):
-        if reason := engine.unusable():
-            self.error_set(reason)
-            return
         try:
+            if reason := engine.unusable():
+                raise EngineError(reason)
             self._render(depsgraph)
         except (SceneError, EngineError) as error:
+            # the one is for the window of the image, the other for scripts
             self.error_set(str(error))
+            self.report({"ERROR"}, str(error))
 
     def _render(self, depsgraph):
         scene, layer = depsgraph.scene, depsgraph.view_layer
@@ -114,7 +120,7 @@ class LIGHTPANES_render_engine(bpy.types.RenderEngine):
     def _sample(self, preview, result, names, samples):
         told = time.perf_counter()
         for k in range(samples):
-            if self.test_break():
+            if cancelled(self):
                 break
             preview.frame()
             self.update_progress((k + 1) / samples)

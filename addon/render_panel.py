@@ -32,24 +32,24 @@ class LIGHTPANES_PT_sampling(bpy.types.Panel):
         layout.prop(context.scene.render, "film_transparent")
 
 
-# Panels that EEVEE shows and that would say nothing here.
-FOREIGN = ("RENDER_PT_eevee", "RENDER_PT_shadows", "RENDER_PT_simplify_greasepencil", "DATA_PT_EEVEE", "WORLD_PT_eevee",
-           "MATERIAL_PT_eevee", "EEVEE_")  # fmt: skip
+# Of the panels that all engines share, those that say nothing here, by parts of their names.
+SILENT = ("freestyle", "grease_pencil", "stereoscopy", "DATA_PT_light", "NODE_DATA_PT_light", "TEXTURE_PT", "volume")
+# By which EEVEE's users edit materials, worlds and lamps.
+EEVEES = {
+    "EEVEE_MATERIAL_PT_context_material",
+    "EEVEE_MATERIAL_PT_surface",
+    "EEVEE_WORLD_PT_surface",
+    "DATA_PT_EEVEE_light",
+}
 
 
 def _panels():
-    """Blender's panels for surfaces, lamps, world, camera and output: those that all engines share, and those by which
-    EEVEE's users edit node trees and lamps."""
-    shown = {"BLENDER_RENDER", "BLENDER_EEVEE", "BLENDER_EEVEE_NEXT"}
-    nodes = {
-        "EEVEE_MATERIAL_PT_context_material", "EEVEE_MATERIAL_PT_surface", "EEVEE_WORLD_PT_surface", "DATA_PT_EEVEE_light",
-    }  # fmt: skip
+    """Blender's panels that work with this engine as with others."""
     for panel in _subclasses(bpy.types.Panel):
-        engines = getattr(panel, "COMPAT_ENGINES", None)
-        if not isinstance(engines, set) or not engines & shown or panel.__module__.startswith(__package__):
+        engines, name = getattr(panel, "COMPAT_ENGINES", None), panel.__name__
+        if not isinstance(engines, set) or panel is LIGHTPANES_PT_sampling:
             continue
-        name = panel.__name__
-        if "BLENDER_RENDER" in engines and not any(part in name for part in FOREIGN) or name in nodes:
+        if name in EEVEES or ("BLENDER_RENDER" in engines and not any(part in name for part in SILENT)):
             yield panel
 
 
@@ -66,8 +66,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    for panel in _subclasses(bpy.types.Panel):
-        engines = getattr(panel, "COMPAT_ENGINES", None)
-        if isinstance(engines, set):
-            engines.discard(ENGINE)
+    for panel in _panels():
+        panel.COMPAT_ENGINES.discard(ENGINE)
     bpy.utils.unregister_class(LIGHTPANES_PT_sampling)

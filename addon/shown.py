@@ -73,6 +73,8 @@ def read_bake(scene: bpy.types.Scene) -> tuple[Baked | None, str]:
     held = store.STEADY if store.find_image(scene, store.STEADY) is not None else store.DIRECT
     first = store.read_image(scene, held) if held == store.STEADY or store.holds_direct(scene) else None
     caustics = store.read_image(scene, CAUSTICS)
-    images = [None if image is None else np.ascontiguousarray(image[..., :3]) for image in (irradiance, first, caustics)]
+    images = [
+        None if image is None else np.ascontiguousarray(image[..., :3]) for image in (irradiance, first, caustics)
+    ]
     current = relight.session(scene)
     return Baked(*images), repr((current.key, current.shown))

@@ -64,14 +64,26 @@ class Textures:
                     values["albedo"] = np.clip(texture.offset + texture.scale * texture.image.mean((0, 1)), 0, 1)
                 elif has_albedo and placed[own].any():
                     mapped = True
-            for kind, default in (("albedo", materials.GREY), ("emission", materials.BLACK), ("transmission", materials.BLACK)):
+            for kind, default in (
+                ("albedo", materials.GREY),
+                ("emission", materials.BLACK),
+                ("transmission", materials.BLACK),
+            ):
                 if values[kind] is not None:
                     continue
                 mean = prepared.mean(material, kind)
                 values[kind] = default if mean is None else mean
                 if not mapped or kind != "albedo":
-                    shown = "in grey" if mean is None and kind == "albedo" else "as nothing" if mean is None else "as its mean"
-                    self.warnings.append(f"Material '{name}': its {kind} varies in a way that the preview shows {shown}.")
+                    shown = (
+                        "in grey"
+                        if mean is None and kind == "albedo"
+                        else "as nothing"
+                        if mean is None
+                        else "as its mean"
+                    )
+                    self.warnings.append(
+                        f"Material '{name}': its {kind} varies in a way that the preview shows {shown}."
+                    )
             colours = {kind: tuple(float(v) for v in np.broadcast_to(value, 3)) for kind, value in values.items()}
             made.append(Material(name, mapped=mapped, **colours))
         scene.materials = tuple(made)
@@ -190,10 +202,8 @@ def _pixels(image) -> np.ndarray | None:
     held = _images.get(image.session_uid)
     if held is not None and held[0] == key and not image.is_dirty:
         return held[1]
-    if not image.has_data:
-        image.update()
-        if len(image.pixels):
-            image.pixels[0]  # reads the file
+    if not image.has_data and len(image.pixels):
+        image.pixels[0]  # reads the file
     width, height = image.size
     if not image.has_data or width * height == 0 or image.channels < 1:
         return None

@@ -2,10 +2,21 @@
 
 from .accumulation import PixelCache
 from .camera import Camera
-from .light import Baked, Lamps
 from .gbuffer import background
+from .light import Baked, Lamps
 from .looks import Texture
 from .preview import PASSES, Preview, Settings
 from .surfaces import Surfaces
 
-__all__ = ["PASSES", "Baked", "Camera", "Lamps", "PixelCache", "Preview", "Settings", "Surfaces", "Texture", "background"]
+__all__ = [
+    "PASSES",
+    "Baked",
+    "Camera",
+    "Lamps",
+    "PixelCache",
+    "Preview",
+    "Settings",
+    "Surfaces",
+    "Texture",
+    "background",
+]

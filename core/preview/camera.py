@@ -32,8 +32,6 @@ class Camera:
             if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-300:
                 raise SceneError("The camera's place or lens is not a number, or is scaled to nothing; reset it.")
             object.__setattr__(self, name, matrix)
-        if self.width < 1 or self.height < 1:
-            raise SceneError(f"An image of {self.width} × {self.height} pixels has nothing to show.")
         if self.window is None:
             object.__setattr__(self, "window", (0, 0, self.width, self.height))
 
@@ -61,6 +59,8 @@ class Camera:
         """
         if fit not in FITS:
             raise SceneError(f"Unknown sensor fit {fit!r}, use one of {', '.join(FITS)}.")
+        if width < 1 or height < 1:
+            raise SceneError(f"An image of {width} × {height} pixels has nothing to show.")
         tall = aspect[1] / aspect[0]
         across = fit == "HORIZONTAL" or (fit == "AUTO" and width >= tall * height)
         side = width if across else tall * height

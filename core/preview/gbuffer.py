@@ -13,6 +13,7 @@ from ..scene import Optics, Sky
 from ..threads import in_threads
 from .camera import Camera
 from .surfaces import Surfaces
+from .vectors import scaled
 
 CHUNK = 1 << 14
 """Pixels that are traced together."""
@@ -55,7 +56,12 @@ FARTHEST = 1e10
 
 
 def make_gbuffer(
-    surfaces: Surfaces, camera: Camera, sky: Sky | None, offset: tuple[float, float], seed: int, transparent: bool = False
+    surfaces: Surfaces,
+    camera: Camera,
+    sky: Sky | None,
+    offset: tuple[float, float],
+    seed: int,
+    transparent: bool = False,
 ) -> GBuffer:
     """Trace the camera's rays through the same place of each pixel.
 
@@ -92,7 +98,8 @@ def _trace(surfaces, camera, sky, origins, directions, reach, piece, seed, trans
             break
         who, way, distance = alive[rows], way[rows], found.distance
         weight = None if weight is None else weight[rows]
-        hit = start[rows] + distance[:, None] * way
+        hit = scaled(way, distance)
+        hit += start[rows]
         normal, flat = surfaces.normals(triangle, u, v, way)
         gone = gone[rows] + distance
         inside = inside[rows]
@@ -194,7 +201,9 @@ def _choose(surfaces, optics, rows, triangle, u, v, albedo, material, way, norma
     z, angle = 1 / np.sqrt(1 + steep), b * _F(2 * np.pi)
     wide = np.sqrt(np.maximum(1 - z * z, 0))
     tangent, bitangent = frame(normal)
-    facet = (wide * np.cos(angle))[:, None] * tangent + (wide * np.sin(angle))[:, None] * bitangent + z[:, None] * normal
+    facet = (
+        (wide * np.cos(angle))[:, None] * tangent + (wide * np.sin(angle))[:, None] * bitangent + z[:, None] * normal
+    )
     cosine = -np.einsum("nd,nd->n", way, facet)
     facet = np.where(cosine[:, None] > 0, facet, normal)
     cosine = np.clip(-np.einsum("nd,nd->n", way, facet), 0, 1)

@@ -14,8 +14,8 @@ import numpy as np
 
 from ..lights import NEAREST, SUN_REACH, spot_cone
 from ..rays import Tracer
-from ..sampling import frame
 from ..scene import Light
+from .vectors import around, dot, join, scaled, split
 
 MOST_LAMPS = 4
 """Lamps that a point asks in one frame; with more each point picks so many of them."""
@@ -55,100 +55,102 @@ class Lamps:
     def irradiance(self, points, normals, u: np.ndarray, pick: np.ndarray, most: int = MOST_LAMPS) -> np.ndarray:
         """(n, 3) float32 W/m²: one sample of each lamp, or of `most` of them that each point picks.
 
-        points: (n, 3) m, lifted off their surfaces. normals: (n, 3) unit. u: (n, 2) in [0, 1), place on the lamps.
+        points: (n, 3) m, lifted off their surfaces. normals: (n, 3) unit. u: (2, n) in [0, 1), place on the lamps.
         pick: (n,) in [0, 1).
         """
         result = np.zeros((len(points), 3), np.float32)
         if len(self.lights) <= most:
             for number in range(len(self.lights)):
-                turned = (u + _F(0.6180340) * number) % _F(1) if number else u
-                self._add(result, number, slice(None), points, normals, turned, None)
+                self._add(result, number, None, points, normals, _turned(u, number), None)
             return result
         for turn in range(most):
             stratum = (pick + turn) / _F(most)
             number, share = self._grid.pick(points, np.minimum(stratum, _F(1 - 2**-24)))
             order = np.argsort(number, kind="stable")
             ends = np.searchsorted(number[order], np.arange(len(self.lights) + 1))
-            turned = (u + _F(0.6180340) * turn) % _F(1)
+            turned = _turned(u, turn)
             for each in np.unique(number):
                 rows = order[ends[each] : ends[each + 1]]
-                self._add(result, each, rows, points[rows], normals[rows], turned[rows], share[rows] * _F(most))
+                self._add(result, each, rows, points[rows], normals[rows], turned[:, rows], share[rows] * _F(most))
         return result
 
     def _add(self, result, number, rows, points, normals, u, share):
         light = self.lights[number]
         sample = {"POINT": _ball, "SPOT": _ball, "SUN": _sun, "AREA": _panel}[light.kind]
-        value, vectors = sample(light, points, normals, u, self._reach)
+        value, vectors = sample(light, split(points), split(normals), u, self._reach)
         lit = np.flatnonzero(value > 0)
-        value = value[lit]
+        if not len(lit):
+            return
+        value = value.take(lit)
         if share is not None:
-            value = value / share[lit]
-        if light.casts_shadow and len(lit):
-            through = self._tracer.visibility(points[lit], vectors[lit])
-            value = value * through if through.ndim == 1 else value[:, None] * through
-        if isinstance(rows, slice):
-            result[lit] += _coloured(value, self._colour[number])
-        else:
-            result[rows[lit]] += _coloured(value, self._colour[number])
+            value /= share[lit]
+        if light.casts_shadow:
+            ways = join(*(part.take(lit) for part in vectors))
+            through = self._tracer.visibility(points.take(lit, axis=0), ways)
+            value = value * through if through.ndim == 1 else scaled(through, value)
+        into = lit if rows is None else rows[lit]
+        for k in range(3):
+            result[into, k] += (value if value.ndim == 1 else value[:, k]) * self._colour[number][k]
 
 
-def _coloured(value, colour):
-    return value[:, None] * colour if value.ndim == 1 else value * colour
-
-
-def _dot(a, b):
-    return np.einsum("nd,nd->n", a, b)
+def _turned(u, turn):
+    """Numbers that are independent enough for one more lamp."""
+    if not turn:
+        return u
+    u = u + _F(0.6180340) * turn
+    return u - np.floor(u)
 
 
 def _in_cap(middle, sine2, u):
-    """Unit directions (n, 3) evenly over caps, their cosine and sine to the middle, and the caps' 1 + cosine."""
+    """Unit directions evenly over caps, their cosine and sine to the middle, and 1 + the caps' cosine."""
     base = 1 + np.sqrt(1 - sine2)
-    depth = u[:, 0] * (sine2 / base)
+    depth = u[0] * (sine2 / base)
     radius = np.sqrt(depth * (2 - depth))
     z = 1 - depth
-    angle = u[:, 1] * _F(2 * np.pi)
-    tangent, bitangent = frame(middle)
-    direction = z[:, None] * middle
-    direction += (radius * np.cos(angle))[:, None] * tangent
-    direction += (radius * np.sin(angle))[:, None] * bitangent
-    return direction, z, radius, base
+    angle = u[1] * _F(2 * np.pi)
+    return around(middle, radius * np.cos(angle), radius * np.sin(angle), z), z, radius, base
 
 
 def _ball(light: Light, points, normals, u, reach):
-    """POINT and SPOT: see `core.lights`. Returns (n,) irradiance for unit power and (n, 3) vectors to the lamp."""
-    vectors = light.position.astype(np.float32) - points
-    d2 = np.maximum(_dot(vectors, vectors), _F(NEAREST))
+    """POINT and SPOT: see `core.lights`. Returns (n,) irradiance for unit power, and vectors to the lamp."""
+    vectors = [_F(light.position[k]) - points[k] for k in range(3)]
+    d2 = np.maximum(dot(vectors, vectors), _F(NEAREST))
     d = np.sqrt(d2)
-    middle = vectors / d[:, None]
+    over = 1 / d
+    middle = [v * over for v in vectors]
     if light.radius <= 0:
-        value = np.maximum(_dot(middle, normals), 0) / (_F(4 * np.pi) * d2)
+        value = np.maximum(dot(middle, normals), 0) / (_F(4 * np.pi) * d2)
         direction = middle
     else:
         radius2 = _F(light.radius) ** 2
         soft = light.shape == "DISK"
         spread2 = d2 + radius2 if soft else np.maximum(d2, radius2)
-        sine2 = radius2 / spread2
-        direction, z, radius, base = _in_cap(middle, sine2, u)
-        value = np.maximum(_dot(direction, normals), 0) / (_F(2 * np.pi) * spread2 * base)
-        way = d / np.maximum(z, _F(1e-6)) if soft else d * z - np.sqrt(np.maximum(radius2 - d2 * radius * radius, 0))
-        vectors = direction * way[:, None]
+        direction, z, radius, base = _in_cap(middle, radius2 / spread2, u)
+        value = np.maximum(dot(direction, normals), 0) / (_F(2 * np.pi) * spread2 * base)
+        if soft:
+            way = d / np.maximum(z, _F(1e-6))
+        else:
+            way = d * z - np.sqrt(np.maximum(radius2 - d2 * radius * radius, 0))
+        vectors = [part * way for part in direction]
         if not soft:
             inside = np.flatnonzero(d2 <= radius2)
             value[inside] = 1 / (4 * np.pi * radius2)
-            vectors[inside] = normals[inside] * (_F(light.radius) - d[inside])[:, None]
+            for k in range(3):
+                vectors[k][inside] = normals[k][inside] * (_F(light.radius) - d[inside])
     if light.kind == "SPOT":
-        value = value * spot_cone(light, direction.T)
+        value = value * spot_cone(light, direction)
     return value, vectors
 
 
 def _sun(light: Light, points, normals, u, reach):
-    towards = -light.direction.astype(np.float32)
+    count = len(points[0])
+    towards = [np.full(count, t, np.float32) for t in -light.direction]
     half = min(light.angle, np.pi) / 2
     if half <= 0:
-        return np.maximum(normals @ towards, 0), np.broadcast_to(towards * reach, points.shape)
-    sine2 = np.full(len(points), np.sin(half) ** 2, np.float32)
-    direction, _, _, base = _in_cap(np.broadcast_to(towards, points.shape), sine2, u)
-    return np.maximum(_dot(direction, normals), 0) * 2 / base, direction * reach
+        return np.maximum(dot(towards, normals), 0), [t * reach for t in towards]
+    sine2 = np.full(count, np.sin(half) ** 2, np.float32)
+    direction, _, _, base = _in_cap(towards, sine2, u)
+    return np.maximum(dot(direction, normals), 0) * 2 / base, [part * reach for part in direction]
 
 
 def _panel(light: Light, points, normals, u, reach):
@@ -156,19 +158,20 @@ def _panel(light: Light, points, normals, u, reach):
     width, height = (_F(s) for s in light.size)
     axes = light.matrix[:3, :3] / np.linalg.norm(light.matrix[:3, :3], axis=0)
     axes = axes.astype(np.float32) * np.array([1, 1, -1], np.float32)
-    x, y, z = ((points - light.position.astype(np.float32)) @ axes).T
-    normal = (normals @ axes).T
+    away = [points[k] - _F(light.position[k]) for k in range(3)]
+    x, y, z = (dot(away, axes[:, k]) for k in range(3))
+    normal = [dot(normals, axes[:, k]) for k in range(3)]
     round_ = light.shape in ("DISK", "ELLIPSE")
     area = width * height * _F(np.pi / 4 if round_ else 1)
     if area <= 0:
-        return np.zeros(len(points), np.float32), points
+        return np.zeros(len(x), np.float32), points
     front = z > 0
-    depth = np.where(front, z, 1)
+    depth = np.where(front, z, _F(1))
     if light.spread <= 0:
         a, b = 2 * x / width, 2 * y / height
         inside = (a * a + b * b <= 1) if round_ else (np.maximum(np.abs(a), np.abs(b)) <= 1)
         value = np.where(front & inside, np.maximum(-normal[2], 0) / area, 0)
-        return value, -z[:, None] * axes[:, 2]
+        return value, [-z * axes[k, 2] for k in range(3)]
     grid, share = _F(1), _F(1)
     if light.spread < np.pi:
         # only the part of the lamp around the point's own foot is seen
@@ -176,7 +179,7 @@ def _panel(light: Light, points, normals, u, reach):
         low = [np.maximum(-s / 2, p - slope * depth) for p, s in ((x, width), (y, height))]
         high = [np.minimum(s / 2, p + slope * depth) for p, s in ((x, width), (y, height))]
         size = [np.maximum(h - s, 0) for h, s in zip(high, low, strict=True)]
-        a, b = low[0] + u[:, 0] * size[0], low[1] + u[:, 1] * size[1]
+        a, b = low[0] + u[0] * size[0], low[1] + u[1] * size[1]
         share = size[0] * size[1] / area
         if round_:
             share = share * ((2 * a / width) ** 2 + (2 * b / height) ** 2 <= 1)
@@ -185,14 +188,14 @@ def _panel(light: Light, points, normals, u, reach):
         a, b = a - x, b - y
         grid = np.maximum(slope - np.hypot(a, b) / depth, 0) * _F(norm)
     elif round_:
-        radius, angle = np.sqrt(u[:, 0]) * _F(0.5), u[:, 1] * _F(2 * np.pi)
+        radius, angle = np.sqrt(u[0]) * _F(0.5), u[1] * _F(2 * np.pi)
         a, b = width * radius * np.cos(angle) - x, height * radius * np.sin(angle) - y
     else:
-        a, b = width * (u[:, 0] - _F(0.5)) - x, height * (u[:, 1] - _F(0.5)) - y
+        a, b = width * (u[0] - _F(0.5)) - x, height * (u[1] - _F(0.5)) - y
     d2 = np.maximum(a * a + b * b + z * z, _F(NEAREST))
     brought = np.maximum(normal[0] * a + normal[1] * b - normal[2] * z, 0) * depth / (d2 * d2)
     value = np.where(front, brought * grid * share / _F(np.pi), 0)
-    return value, a[:, None] * axes[:, 0] + b[:, None] * axes[:, 1] - z[:, None] * axes[:, 2]
+    return value, [a * axes[k, 0] + b * axes[k, 1] - z * axes[k, 2] for k in range(3)]
 
 
 class _Grid:

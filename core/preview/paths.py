@@ -15,6 +15,7 @@ from .gbuffer import CHUNK
 from .light import Baked, Lamps
 from .looks import corner_values, sample
 from .surfaces import Surfaces
+from .vectors import scaled
 
 FEED = (0.25, 0.0625)
 """Part of the secondary hits from which paths go on to feed the coarse cache, in the first FEEDING frames and at last;
@@ -84,7 +85,7 @@ class PathTracer:
         """One path from each of n points.
 
         position: lifted off the surface. pixel: (n,) uint32 names the points in hashes. span: m, a pixel's width at
-        most surfaces, the unit of the coarse cache. u: (n, 2) in [0, 1), the first direction. bounces: after which
+        most surfaces, the unit of the coarse cache. u: (2, n) in [0, 1), the first direction. bounces: after which
         paths end, at most.
         """
         seed = int(hash_uint32(np.array([frame]), 77, self.seed)[0])
@@ -134,7 +135,7 @@ class PathTracer:
 
     def _deeper(self, at, rows, pixel, span, seed, bounces, turn) -> Light:
         base, origin = _DIMENSIONS * (turn + 1), at.rows[rows]
-        u = np.stack([hash_uniform(pixel[origin], base + k, seed) for k in (4, 5)], axis=1)
+        u = np.stack([hash_uniform(pixel[origin], base + k, seed) for k in (4, 5)])
         return self._gather(
             at.position[rows], at.normal[rows], at.flat[rows], pixel[origin], span, u, seed, bounces, turn + 1
         )  # fmt: skip
@@ -142,17 +143,17 @@ class PathTracer:
     def _step(self, position, normal, flat, pixel, u, seed, turn) -> tuple[np.ndarray, np.ndarray, _Vertices]:
         """One ray from each point: light of sky and emission that it meets (n, 3), its way (n,) m, and where it lands."""
         parts = in_threads(
-            lambda s: self._step_part(position[s], normal[s], flat[s], pixel[s], u[s], seed, turn),
+            lambda s: self._step_part(*_same(normal, flat, s), position[s], pixel[s], u[:, s], seed, turn),
             chunks(len(position), CHUNK),
         )
         if not parts:
-            parts = [self._step_part(position, normal, flat, pixel, u, seed, turn)]
+            parts = [self._step_part(normal, flat, position, pixel, u, seed, turn)]
         first, way, vertices = zip(*parts, strict=True)
         columns = list(zip(*([getattr(v, k) for k in _Vertices.__dataclass_fields__] for v in vertices), strict=True))
         columns[0] = [rows + CHUNK * k for k, rows in enumerate(columns[0])]
         return np.concatenate(first), np.concatenate(way), _Vertices(*(np.concatenate(c) for c in columns))
 
-    def _step_part(self, position, normal, flat, pixel, u, seed, turn):
+    def _step_part(self, normal, flat, position, pixel, u, seed, turn):
         surfaces, base = self.surfaces, _DIMENSIONS * turn
         directions = surfaces.scatter(normal, flat, u)
         chance = None
@@ -165,8 +166,9 @@ class PathTracer:
             first[found.missed] = light if found.missed_weight is None else light * found.missed_weight
         rows, triangle, u, v = found.rows, found.triangle, found.u, found.v
         way[rows] = found.distance
-        heading = directions[rows]
-        hit = position[rows] + found.distance[:, None] * heading
+        heading = directions.take(rows, axis=0)
+        hit = scaled(heading, found.distance)
+        hit += position.take(rows, axis=0)
         normal, flat = surfaces.normals(triangle, u, v, heading)
         if surfaces.looks.emits:
             light = surfaces.looks.emission(triangle, u, v) * _PI
@@ -176,8 +178,8 @@ class PathTracer:
             factor *= found.weight
         hit += surfaces.offset * flat
         who = pixel[rows]
-        spot = np.stack([hash_uniform(who, base + k, seed) for k in (0, 1)], axis=1) if len(self.lamps) else None
-        if spot is not None:
+        if len(self.lamps):
+            spot = np.stack([hash_uniform(who, base + k, seed) for k in (0, 1)])
             pick = hash_uniform(who, base + 2, seed) if len(self.lamps) > 1 else None
             light = self.lamps.irradiance(hit, normal, spot, pick, most=1)
         else:
@@ -190,6 +192,12 @@ class PathTracer:
             light[known] += sum(read)
         owner = surfaces.scene.triangle_object[triangle]
         return first, way, _Vertices(rows, hit, normal, flat, factor, light, unknown, owner)
+
+
+def _same(normal, flat, piece):
+    """Parts of the normals; one array where both are one, which spares work."""
+    part = normal[piece]
+    return part, part if flat is normal else flat[piece]
 
 
 class BakedLight:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..implicit_cache import Cache
 from ..rays import chunks
-from ..sampling import hash_uint32
+from ..sampling import PLASTIC, hash_uniform
 from ..scene import Light, SceneError, Sky
 from ..threads import in_threads
 from .accumulation import Film, PixelCache
@@ -20,7 +20,15 @@ from .paths import BakedLight, PathTracer
 from .pixel_filter import offsets
 from .surfaces import Surfaces
 
-PASSES = {"Combined": 4, "Diffuse Color": 3, "Diffuse Direct": 3, "Diffuse Indirect": 3, "AO": 3, "Normal": 3, "Depth": 1}
+PASSES = {
+    "Combined": 4,
+    "Diffuse Color": 3,
+    "Diffuse Direct": 3,
+    "Diffuse Indirect": 3,
+    "AO": 3,
+    "Normal": 3,
+    "Depth": 1,
+}
 """Images that a preview makes, and their channels."""
 
 LATER = 2
@@ -33,8 +41,8 @@ KEPT_BYTES = 400e6
 """Of views that are kept for a camera at rest."""
 
 _F = np.float32
-# Kronecker sequences over x, y and frame; any few of these numbers are independent of the others
-_STEPS = np.modf(np.sqrt([[2, 3, 5], [7, 11, 13], [17, 19, 23], [29, 31, 37], [41, 43, 47]]))[0]
+# Kronecker sequences, one a dimension: bounces, places on lamps, which lamp
+_STEPS = (PLASTIC, (2**0.5 - 1, 3**0.5 - 1), (5**0.5 - 2, 7**0.5 - 2))
 
 
 @dataclass(frozen=True)
@@ -57,13 +65,14 @@ class Settings:
 @dataclass
 class _View:
     """One look through the camera. known: (k,) rows of the G-buffer's m whose indirect light a bake holds, rest: the
-    others. baked: first and indirect light of the known ones. places: of the rest, in the cache."""
+    others. baked: first and indirect light of the known ones. places: of the rest, in the cache. shifts: of numbers, for each dimension."""
 
     buffer: GBuffer
     known: np.ndarray
     rest: np.ndarray
     baked: tuple[np.ndarray, np.ndarray] | None
     places: object = None
+    shifts: dict[int, np.ndarray] = field(default_factory=dict)
 
     @property
     def bytes(self) -> int:
@@ -173,7 +182,7 @@ class Preview:
             made = film.mean("seen")
             shown = ["direct", "light"] if "light" in film else ["direct", "first", "indirect"]
             made[:, :3] += sum(film.mean(part) for part in shown)
-            if not self.settings.transparent and self.sky is not None:
+            if not self.settings.transparent:
                 made[:, 3] = 1
         elif name in ("Diffuse Direct", "Diffuse Indirect"):
             light = film.mean("indirect") if name == "Diffuse Indirect" else film.mean("direct") + film.mean("first")
@@ -210,29 +219,27 @@ class Preview:
             self._views[place] = view
         return view
 
-    def _numbers(self, buffer: GBuffer, dimension: int) -> np.ndarray:
-        """(m, 2) in [0, 1): well spread over the frames of a pixel and over pixels that are neighbours."""
-        width = self.camera.size[0]
-        row, column = np.divmod(buffer.rows, width)
-        shift = hash_uint32(np.arange(2), 50 + dimension, self.settings.seed) / 2.0**32
-        numbers = []
-        for k in range(2):
-            x, y, frame = _STEPS[dimension * 2 + k]
-            turn = (shift[k] + self._drawn * frame) % 1
-            # float64: the product's fraction is what counts
-            value = (np.arange(width) * x)[column] + ((np.arange(self.camera.size[1]) * y + turn) % 1)[row]
-            numbers.append(np.minimum((value % 1).astype(np.float32), _F(1 - 2**-24)))
-        return np.stack(numbers, axis=1)
+    def _numbers(self, view: _View, dimension: int) -> np.ndarray:
+        """(2, m) in [0, 1), well spread over the frames of a pixel; pixels differ by hashes."""
+        if dimension not in view.shifts:
+            pixel = view.buffer.rows.astype(np.uint32)
+            view.shifts[dimension] = np.stack(
+                [hash_uniform(pixel, 50 + 2 * dimension + k, self.settings.seed) for k in (0, 1)]
+            )
+        # float64: the product's fraction is what counts
+        turn = np.array(_STEPS[dimension]) * self._drawn % 1
+        numbers = view.shifts[dimension] + turn[:, None].astype(np.float32)
+        numbers -= np.floor(numbers)
+        return np.minimum(numbers, _F(1 - 2**-24), out=numbers)
 
     def _direct(self, view: _View) -> np.ndarray:
         """(m, 3) W/m² of the lamps."""
         buffer = view.buffer
         if not len(self._lamps) or not len(buffer.rows):
             return np.zeros((len(buffer.rows), 3), np.float32)
-        u = self._numbers(buffer, 1)
-        pick = np.ascontiguousarray(u[:, 1] * 0.754877 + u[:, 0] * 0.569840) % _F(1)
+        u, pick = self._numbers(view, 1), self._numbers(view, 2)[0]
         parts = in_threads(
-            lambda s: self._lamps.irradiance(buffer.position[s], buffer.normal[s], u[s], pick[s]),
+            lambda s: self._lamps.irradiance(buffer.position[s], buffer.normal[s], u[:, s], pick[s]),
             chunks(len(buffer.rows), CHUNK),
         )
         return np.concatenate(parts)
@@ -252,9 +259,9 @@ class Preview:
             made[view.known, : shown.shape[1]] = shown
         if len(rest):
             position, normal, owner = part(buffer.position), part(buffer.normal), part(buffer.object_id)
-            pixel = part(buffer.rows)
+            pixel, numbers = part(buffer.rows), self._numbers(view, 0)
             light = self._tracer.gather(
-                position, normal, part(buffer.flat), pixel.astype(np.uint32), self._span, part(self._numbers(buffer, 0)),
+                position, normal, part(buffer.flat), pixel.astype(np.uint32), self._span, numbers if whole else numbers[:, rest],
                 self._drawn, self.settings.bounces,
             )  # fmt: skip
             values = light.total
@@ -282,4 +289,3 @@ def _spread(values: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
     image = np.zeros((count, values.shape[1]), np.float32)
     image[rows] = values
     return image
-

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ..rays import LAYERS, Bvh, Tracer
-from ..sampling import cosine_hemisphere, frame
 from ..scene import Scene
 from ..surface.samples import unit
 from .looks import Looks, Texture, corner_values
+from .vectors import around, dot, join, split
 
 SMOOTH = 0.9999
 """Cosine between a corner's normal and the face's own, below which a triangle counts as smoothly shaded."""
@@ -41,6 +41,7 @@ class Surfaces:
         self.flat = unit(scene.triangle_cross())
         turned = np.einsum("tkd,td->tk", scene.corner_normals, self.flat)
         self.smooth = (turned < SMOOTH).any(axis=1)
+        self._any_smooth, self._flat = bool(self.smooth.any()), split(self.flat)
         self.tracer = Tracer(scene).alone()
         self.offset = np.float32(self.tracer.offset)
         self.transmission = self.tracer.transmission
@@ -121,10 +122,10 @@ class Surfaces:
 
         directions: (n, 3) of the rays that landed there.
         """
-        flat = self.flat.take(triangle, axis=0)
-        turned = np.einsum("nd,nd->n", flat, directions) > 0
-        flat[turned] *= -1
-        smooth = np.flatnonzero(self.smooth[triangle])
+        parts = [column.take(triangle) for column in self._flat]
+        sign = np.copysign(np.float32(1), -dot(parts, directions.T))
+        flat = join(*(part * sign for part in parts))
+        smooth = np.flatnonzero(self.smooth[triangle]) if self._any_smooth else ()
         if not len(smooth):
             return flat, flat
         normal = flat.copy()
@@ -139,15 +140,13 @@ class Surfaces:
     def scatter(self, normal, flat, u: np.ndarray) -> np.ndarray:
         """(n, 3) unit directions in proportion to their cosine with the shading normal, above the surface.
 
-        u: (n, 2) in [0, 1).
+        u: (2, n) in [0, 1).
         """
-        local = cosine_hemisphere(u)
-        tangent, bitangent = frame(normal)
-        directions = local[:, :1] * tangent
-        directions += local[:, 1:2] * bitangent
-        directions += local[:, 2:] * normal
+        angle, radius = u[1] * np.float32(2 * np.pi), np.sqrt(u[0])
+        parts = around(split(normal), radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - u[0]))
         if normal is not flat:
-            height = np.einsum("nd,nd->n", directions, flat)
+            height = dot(parts, flat.T)
             below = np.flatnonzero(height < 0)
-            directions[below] -= 2 * height[below, None] * flat[below]
-        return directions
+            for k in range(3):
+                parts[k][below] -= 2 * height[below] * flat[below, k]
+        return join(*parts)
