@@ -7,6 +7,7 @@ says how many samples that mean is worth. So the first frames are smooth, later 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,14 +15,15 @@ import numpy as np
 from ..rays import chunks
 from ..threads import in_threads
 from .keys import CORNERS, lattice_keys, surface_keys
-from .lattice import Layer, corners
+from .lattice import Layer, Packed, corners
 from .levels import levels_of
 from .table import MOST, Table
+from .trust import EVERY, MEMORY, departure, scatter, worth
 
 PIECE = 1 << 14
 """Samples handled together: their corners stay in the second-level cache. No result depends on threads."""
 
-HANDED_DOWN = 4.0
+HANDED_DOWN = 16.0
 """A new entry begins with the mean of the next coarser one, worth at most so many samples."""
 
 
@@ -32,22 +34,26 @@ class Places(NamedTuple):
     """Where in a cache some samples belong. It stays usable while the samples stay where they are.
 
     count: of samples. slot: (m,) int32 entries that they use; tag: (m,) uint32, whose they are. pieces: for each piece
-    of the samples a layer for the fine lattice and one for the coarse. share: (m,) float32 sums of weights.
+    of the samples a layer for each lattice, finest first; thin: the first two of them for a few of the samples.
+    share: (m,) float32 sums of weights. noise: (2, m) sums that tell how samples scatter, changed by `Cache.add`.
     """
 
     count: int
     slot: np.ndarray
     tag: np.ndarray
     pieces: list[list[Layer]]
+    thin: list[list[Layer]]
     share: np.ndarray
+    noise: np.ndarray
 
 
 class Cache:
     """Shading in world space, from many frames.
 
     channels: 1 (occlusion; 12 bytes an entry) or 3 (colour; 20).
-    fine, coarse: cells' edges in footprints of a pixel; coarse may be None for a single layer.
-    trust: samples that a coarse mean is worth beside a fine one.
+    fine, coarse: cells' edges in footprints of a pixel, coarse ones in growing order; none for a single lattice.
+    trust: samples that the mean of each coarse lattice is worth beside what is finer; that of the first is where it
+        begins, and then measured unless `measured` is False (see trust.py).
     most: no entry counts more samples than this, so what changed fades in as fast as 1 / most.
     slots: of the table, a power of two; four of ten can be in use, then the least recently seen entries go.
     by_normal: whether surfaces that face other ways (of 26) are kept apart.
@@ -61,22 +67,25 @@ class Cache:
         channels: int = 1,
         *,
         fine: float = 2.0,
-        coarse: float | None = 8.0,
-        trust: float = 48.0,
+        coarse: Sequence[float] | None = (8.0, 32.0),
+        trust: Sequence[float] = (48.0, 12.0),
+        measured: bool = True,
         most: float = MOST,
-        slots: int = 1 << 20,
+        slots: int = 1 << 21,
         by_normal: bool = True,
         seed: int = 0,
         threads: int | None = None,
     ):
         if channels < 1:
             raise ValueError(f"A cache holds at least one channel, not {channels}.")
-        if fine <= 0 or (coarse is not None and coarse <= fine):
-            raise ValueError(
-                f"Cells must be larger than nothing and coarse ones larger than fine ones: {fine}, {coarse}."
-            )
-        self.sizes = (fine,) if coarse is None else (fine, coarse)
-        self.trust, self.most, self.by_normal, self.seed, self.threads = trust, most, by_normal, seed, threads
+        self.sizes = (fine, *(coarse or ()))
+        if fine <= 0 or (np.diff(self.sizes) <= 0).any():
+            raise ValueError(f"Cells must have a size, and grow from lattice to lattice: {self.sizes}.")
+        self.trust = tuple(trust)[: len(self.sizes) - 1]
+        if len(self.trust) < len(self.sizes) - 1:
+            raise ValueError(f"{len(self.sizes) - 1} coarse lattices need as many trusts, not {len(self.trust)}.")
+        self.measured = measured and len(self.sizes) > 1
+        self.most, self.by_normal, self.seed, self.threads = most, by_normal, seed, threads
         self.table = Table(channels, slots)
 
     @property
@@ -161,16 +170,17 @@ class Cache:
             used[self._make_missing(found)] = True
         # entries in use get numbers in a row, so that sums and reads touch nothing else
         live = np.flatnonzero(used)
-        number = np.empty(self.table.slots + 1, np.int64)
+        number = np.empty(self.table.slots + 1, np.int32)
         number[live] = np.arange(len(live))
 
         def settle(piece):
-            layers = [Layer(runs.weight, number[slot].take(runs.run, axis=1)) for runs, slot in piece]
-            return layers, sum(layer.sums(None, len(live)) for layer in layers)
+            layers = [Layer(runs.weight, number[slot].astype(np.int64).take(runs.run, axis=1)) for runs, slot in piece]
+            thin = [layer.thinned(EVERY) for layer in layers[:2]] if self.measured else []
+            return layers, thin, sum(layer.sums(None, len(live)) for layer in layers)
 
-        settled = in_threads(settle, pieces, self.threads)
-        share = sum((part for _, part in settled), np.zeros(len(live))).astype(np.float32)
-        return Places(count, live, self.table.tag[live], [layers for layers, _ in settled], share)
+        layers, thin, shares = zip(*in_threads(settle, pieces, self.threads), strict=True)
+        share = sum(shares).astype(np.float32)
+        return Places(count, live, self.table.tag[live], layers, thin, share, np.zeros((2, len(live))))
 
     def _make_missing(self, found):
         """Make entries for all corners that have none, write their slots into `found` in place, and return them."""
@@ -216,20 +226,31 @@ class Cache:
         by_channel = np.ascontiguousarray(values.T)
         entries = len(places.slot)
 
-        def gather(item):
-            piece, layers = item
-            return [sum(layer.sums(row[piece], entries) for layer in layers) for row in by_channel]
-
-        sums = np.zeros((self.channels, entries))
-        for part in in_threads(gather, zip(_pieces(places.count), places.pieces, strict=True), self.threads):
-            sums += part
         slot = self._slots(places)
+        sums = self._sums(slot)
+
+        def gather(item):
+            piece, layers, thin = item
+            total = np.stack([sum(layer.sums(row[piece], entries) for layer in layers) for row in by_channel])
+            spread = scatter(thin[1], sums, by_channel[:, piece][:, ::EVERY], entries) if thin else 0
+            return total, spread
+
+        items = zip(_pieces(places.count), places.pieces, places.thin, strict=True)
+        found = in_threads(gather, items, self.threads)
+        places.noise[:] = places.noise * MEMORY + sum(spread for _, spread in found)
         self.table.tick()
         before = self.table.counts(slot)
         count = before + places.share
-        weight = 1 / np.maximum(count, np.float32(1e-12))
-        mean = self.table.mean[:, slot] * (before * weight) + sums.astype(np.float32) * weight
+        weight = 1 / np.maximum(count, TINY)
+        mean = (
+            self.table.mean[:, slot] * (before * weight) + sum(total for total, _ in found).astype(np.float32) * weight
+        )
         self.table.put(slot, mean, np.minimum(count, self.most))
+
+    def _sums(self, slot):
+        """Sums of each channel and counts, of entries."""
+        count = self.table.counts(slot)
+        return Packed(np.concatenate([self.table.mean[:, slot] * count, count[None]]))
 
     def read(self, places: Places, otherwise: np.ndarray | float = 0.0) -> np.ndarray:
         """(n, channels) float32 of the places; where nothing is known `otherwise`, a number or (n, channels)."""
@@ -241,36 +262,36 @@ class Cache:
         return self._read(places, 0.0)[1]
 
     def _read(self, places, otherwise):
-        slot = self._slots(places)
-        count = self.table.counts(slot)
-        rows = [*(self.table.mean[:, slot] * count), count]
-        # as complex numbers, since two values are fetched in the time of one
-        pairs = [a + np.complex64(1j) * b for a, b in zip(rows[0::2], rows[1::2], strict=False)]
-        alone = rows[2 * len(pairs) :]
+        sums = self._sums(self._slots(places))
+        trust = self._measured_trust(places, sums) if self.measured else None
 
         def mix(layers):
-            sums = np.zeros((self.channels + 1, layers[0].weight.shape[1]), np.float32)
+            total = layers[-1].mixtures(sums)
             # from the coarsest on: what is known by then joins the sums of the next as so many samples
-            for layer in reversed(layers):
-                sums *= np.minimum(sums[-1], np.float32(self.trust)) / np.maximum(sums[-1], TINY)
-                for k, pair in enumerate(pairs):
-                    both = layer.mixtures(pair)
-                    sums[2 * k] += both.real
-                    sums[2 * k + 1] += both.imag
-                for row in alone:
-                    sums[-1] += layer.mixtures(row)
-            sums[:-1] /= np.maximum(sums[-1], TINY)
-            return sums
+            for k in range(len(layers) - 2, -1, -1):
+                worth = self.trust[k] if k or trust is None else layers[1].mixtures(trust)[0]
+                total *= np.minimum(total[-1], worth) / np.maximum(total[-1], TINY)
+                total += layers[k].mixtures(sums)
+            total[:-1] /= np.maximum(total[-1], TINY)
+            return total
 
-        parts = in_threads(mix, places.pieces, self.threads)
-        sums = np.concatenate(parts, axis=1)
-        return np.where(sums[-1] > 0, sums[:-1], otherwise).T, sums[-1]
+        total = np.concatenate(in_threads(mix, places.pieces, self.threads), axis=1)
+        return np.where(total[-1] > 0, total[:-1], otherwise).T, total[-1]
+
+    def _measured_trust(self, places, sums):
+        noise = (places.noise[0] / np.maximum(places.noise[1], TINY)).astype(np.float32)
+        entries = len(places.slot)
+
+        def depart(thin):
+            return departure(*thin, sums, noise, entries)
+
+        return Packed(worth(noise, sum(in_threads(depart, places.thin, self.threads)), self.trust[0])[None])
 
     def age(self, factor: float = 0.9) -> None:
         """Every count times `factor`: what is known weighs less beside what comes."""
         self.table.scale_counts(factor)
 
-    def drop(self, count: float = 10.0) -> None:
+    def drop(self, count: float = 4.0) -> None:
         """No entry counts more than so many samples: after a lamp or an object moved, what is new soon shows."""
         self.table.limit_counts(count)
 

@@ -10,18 +10,13 @@ from __future__ import annotations
 import numpy as np
 
 from .keys import mix
-
-PROBES = 24
-"""Slots that are tried for a key. A search ends at the first empty one, so few take more than two."""
+from .probing import EMPTY, LEFT, PROBES, claim, find
 
 FULL = 0.4
 """Largest share of slots in use; probing slows down soon after."""
 
 KEPT = 0.7
 """Share of those that are kept when the table is full."""
-
-EMPTY, LEFT = 0, 1
-"""Tags of slots that were never used (searches end there), and of those that were (searches go on)."""
 
 CLOCK = 4096
 """The clock of last sights runs modulo this, in the low 12 bits of a word; the count has the other 20."""
@@ -62,20 +57,8 @@ class Table:
 
     def find(self, keys: np.ndarray) -> np.ndarray:
         """Slots, int32, `nowhere` for those that the table does not hold, of keys, uint64, of any shape. Changes nothing."""
-        home, tag = self._homes(keys.reshape(-1))
-        there = self.tag.take(home)
-        slot = np.where(there == tag, home, np.int32(self.nowhere))
-        open_ = np.flatnonzero((there != tag) & (there != EMPTY))
-        home, tag = home[open_], tag[open_]
-        for _ in range(PROBES - 1):
-            if not len(open_):
-                break
-            home = home + 1 & self.slots - 1
-            there = self.tag.take(home)
-            found = there == tag
-            slot[open_[found]] = home[found]
-            more = ~found & (there != EMPTY)
-            open_, home, tag = open_[more], home[more], tag[more]
+        slot = find(self.tag[:-1], *self._homes(keys.reshape(-1)))
+        slot[slot < 0] = self.nowhere
         return slot.reshape(keys.shape)
 
     def insert(self, keys: np.ndarray) -> np.ndarray:
@@ -85,19 +68,11 @@ class Table:
         """
         limit = int(FULL * self.slots)
         if self.used + len(keys) > limit:
-            self._forget(self.used + len(keys) - int(KEPT * limit))
+            self._forget(max(self.used + len(keys) - limit, self.used - int(KEPT * limit)))
         slot = np.full(len(keys), self.nowhere, np.int32)
-        open_ = np.arange(min(len(keys), limit - self.used))
-        home, tag = self._homes(keys[: len(open_)])
-        for _ in range(PROBES):
-            if not len(open_):
-                break
-            free = self.tag[home] <= LEFT
-            # where several want a slot the last one gets it, and the others look on
-            self.tag[home[free]] = tag[free]
-            settled = free & (self.tag[home] == tag)
-            slot[open_[settled]] = home[settled]
-            open_, home, tag = open_[~settled], home[~settled] + 1 & self.slots - 1, tag[~settled]
+        room = min(len(keys), limit - self.used)
+        found = claim(self.tag[:-1], *self._homes(keys[:room]))
+        slot[:room][found >= 0] = found[found >= 0]
         new = slot[slot != self.nowhere]
         self.used += len(new)
         self.mean[:, new] = 0
