@@ -94,18 +94,24 @@ class PathTracer:
         return self._gather(position, normal, flat, pixel, span, u, seed, bounces, 0)
 
     def _gather(self, position, normal, flat, pixel, span, u, seed, bounces, turn) -> Light:
-        first, way, at = self._step(position, normal, flat, pixel, u, seed, turn)
+        pieces = chunks(len(position), CHUNK) or [slice(0, 0)]
+        parts = in_threads(
+            lambda s: self._step(*_same(normal, flat, s), position[s], pixel[s], u[:, s], seed, turn, s.start), pieces
+        )
+        first, way = (np.concatenate(column) for column in list(zip(*parts, strict=True))[:2])
         indirect = np.zeros_like(first)
-        if bounces < 1:
-            return Light(first, indirect, way)
-        light = at.light
-        rest = np.flatnonzero(at.open)
-        if bounces > 1 and len(rest):
+        vertices = [part[2] for part in parts]
+        if bounces > 1 and any(at.open.any() for at in vertices):
+            at = _joined(vertices)
+            rest = np.flatnonzero(at.open)
             if self.coarse is not None and turn == 0:
-                self._end_in_cache(light, at, rest, pixel, span, seed, bounces, turn)
+                self._end_in_cache(at.light, at, rest, pixel, span, seed, bounces, turn)
             else:
-                self._go_on(light, at, rest, rest, pixel, span, seed, bounces, turn)
-        indirect[at.rows] = at.factor * light
+                self._go_on(at.light, at, rest, rest, pixel, span, seed, bounces, turn)
+            vertices = [at]
+        if bounces > 0:
+            for at in vertices:
+                indirect[at.rows] = at.factor * at.light
         return Light(first, indirect, way)
 
     def _go_on(self, light, at, rest, into, pixel, span, seed, bounces, turn):
@@ -140,20 +146,9 @@ class PathTracer:
             at.position[rows], at.normal[rows], at.flat[rows], pixel[origin], span, u, seed, bounces, turn + 1
         )  # fmt: skip
 
-    def _step(self, position, normal, flat, pixel, u, seed, turn) -> tuple[np.ndarray, np.ndarray, _Vertices]:
-        """One ray from each point: light of sky and emission that it meets (n, 3), its way (n,) m, and where it lands."""
-        parts = in_threads(
-            lambda s: self._step_part(*_same(normal, flat, s), position[s], pixel[s], u[:, s], seed, turn),
-            chunks(len(position), CHUNK),
-        )
-        if not parts:
-            parts = [self._step_part(normal, flat, position, pixel, u, seed, turn)]
-        first, way, vertices = zip(*parts, strict=True)
-        columns = list(zip(*([getattr(v, k) for k in _Vertices.__dataclass_fields__] for v in vertices), strict=True))
-        columns[0] = [rows + CHUNK * k for k, rows in enumerate(columns[0])]
-        return np.concatenate(first), np.concatenate(way), _Vertices(*(np.concatenate(c) for c in columns))
-
-    def _step_part(self, normal, flat, position, pixel, u, seed, turn):
+    def _step(self, normal, flat, position, pixel, u, seed, turn, start) -> tuple[np.ndarray, np.ndarray, _Vertices]:
+        """One ray from each point of a piece that begins at row `start`: light of sky and emission that it meets (n, 3),
+        its way (n,) m, and where it lands."""
         surfaces, base = self.surfaces, _DIMENSIONS * turn
         directions = surfaces.scatter(normal, flat, u)
         chance = None
@@ -191,7 +186,15 @@ class PathTracer:
             read = self.bake.read(triangle[known], u[known], v[known])
             light[known] += sum(read)
         owner = surfaces.scene.triangle_object[triangle]
-        return first, way, _Vertices(rows, hit, normal, flat, factor, light, unknown, owner)
+        return first, way, _Vertices(rows + start, hit, normal, flat, factor, light, unknown, owner)
+
+
+def _joined(vertices: list[_Vertices]) -> _Vertices:
+    columns = {name: [getattr(at, name) for at in vertices] for name in _Vertices.__dataclass_fields__}
+    joined = {name: np.concatenate(column) for name, column in columns.items() if name != "flat"}
+    same = all(at.flat is at.normal for at in vertices)
+    joined["flat"] = joined["normal"] if same else np.concatenate(columns["flat"])
+    return _Vertices(**joined)
 
 
 def _same(normal, flat, piece):
