@@ -18,13 +18,15 @@ from . import (
     preflight,
     properties,
     refresh,
+    render,
+    render_panel,
     saving,
     translations,
 )
 
 MODULES = (
     preferences, properties, operators, job, animation, fixes, saving, preflight, panel, translations, following, beside,
-    refresh, overlay, commands,
+    refresh, overlay, render, render_panel, commands,
 )  # fmt: skip
 
 _registered = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import bpy
@@ -22,7 +23,7 @@ NOT_TRACED = {"VOLUME": "a volume", "CURVES": "hair", "POINTCLOUD": "a point clo
 class _Part:
     """One object or instance, in world space, with its place in the scene's lists.
 
-    loops: (T, 3) of its mesh, None unless it is lit at its vertices.
+    loops: (T, 3) of its mesh, None unless it is lit at its vertices. texture_uv: as of Scene.
     """
 
     positions: np.ndarray
@@ -31,6 +32,7 @@ class _Part:
     uv: np.ndarray
     material: np.ndarray
     loops: np.ndarray | None = None
+    texture_uv: np.ndarray | None = None
 
 
 def extract(
@@ -54,15 +56,55 @@ def extract(
     warnings: list[str] = []
     albedo = albedo and looks
     with visibility.as_rendered(context) as depsgraph:
-        found = _read_parts(context, depsgraph, warnings, atlas)
+        found = _read_parts(depsgraph, visibility.rendered_objects(context.view_layer), warnings, atlas)
+        if not found[0]:
+            raise SceneError(_nothing_found(context))
         lights = lamps.read_lights(depsgraph, warnings)
         # a textured world is evaluated by a render, which shadow rays at a relight have no use for
         sky = lamps.read_sky(context.scene.world, warnings) if albedo and context.scene.world else None
     parts, objects, sources, used = found
+    scene, starts = _join(parts, objects, used, lights, sky, warnings)
+    if loops is not None:
+        loops.update(
+            {item.name: _loops(scene, k, parts[k], starts[k]) for k, item in enumerate(objects) if item.at_vertices}
+        )
+    if looks:
+        materials.read_materials(context, scene, used, sources, resolution, bake=albedo, atlas=atlas)
+    scene.warnings[:] = dict.fromkeys(scene.warnings)
+    return scene
+
+
+def extract_shown(
+    depsgraph: bpy.types.Depsgraph, layer_of: Callable[[bpy.types.Material | None], str | None], warnings: list[str]
+) -> tuple[Scene | None, list[bpy.types.Material | None]]:
+    """The surfaces that a render engine is given to show, and Blender's material for each of the scene's, which are not
+    read yet; None for the scene where there is no face.
+
+    Nothing of Blender is changed. A viewport's depsgraph holds what the viewport shows. layer_of: name of the UV layer
+    that a material's texture reads, "" for the one that renders, None for no texture. warnings: more are added.
+    """
+    rendered = None if depsgraph.mode == "VIEWPORT" else visibility.rendered_objects(depsgraph.view_layer)
+    parts, objects, _, used = _read_parts(depsgraph, rendered, warnings, None, layer_of)
+    if not parts:
+        return None, used
+    return _join(parts, objects, used, (), None, warnings)[0], used
+
+
+def _join(parts, objects, used, lights, sky, warnings):
+    """The scene of all parts, and the number of each one's first vertex."""
     triangles = np.concatenate([part.triangles for part in parts])
     counts = [len(part.triangles) for part in parts]
     starts = np.cumsum([0] + [len(part.positions) for part in parts[:-1]])
     triangles += np.repeat(starts, counts)[:, None].astype(np.int32)
+    texture_uv = None
+    if any(part.texture_uv is not None for part in parts):
+        nothing = np.full((1, 3, 2), np.nan, np.float32)
+        texture_uv = np.concatenate(
+            [
+                np.repeat(nothing, len(part.triangles), axis=0) if part.texture_uv is None else part.texture_uv
+                for part in parts
+            ]
+        )
     scene = Scene(
         positions=np.concatenate([part.positions for part in parts]),
         triangles=triangles,
@@ -75,15 +117,9 @@ def extract(
         lights=lights,
         sky=sky,
         warnings=warnings,
+        texture_uv=texture_uv,
     )
-    if loops is not None:
-        loops.update(
-            {item.name: _loops(scene, k, parts[k], starts[k]) for k, item in enumerate(objects) if item.at_vertices}
-        )
-    if looks:
-        materials.read_materials(context, scene, used, sources, resolution, bake=albedo, atlas=atlas)
-    scene.warnings[:] = dict.fromkeys(scene.warnings)
-    return scene
+    return scene, starts
 
 
 def _loops(scene, index, part, start):
@@ -95,14 +131,16 @@ def _loops(scene, index, part, start):
     return part.loops[np.isin(part.triangles @ base, kept @ base)]
 
 
-def _read_parts(context, depsgraph, warnings, atlas):
-    """All that renders: parts, their SceneObjects, their Blender objects, and the materials in use."""
-    rendered = visibility.rendered_objects(context.view_layer)
+def _read_parts(depsgraph, rendered, warnings, atlas, layer_of=None):
+    """All that renders: parts, their SceneObjects, their Blender objects, and the materials in use.
+
+    rendered: objects that render in their own right, None for all that the depsgraph shows.
+    """
     members: dict[bpy.types.Object, set] = {}
     cache: dict[int, Faces] = {}
     index: dict[bpy.types.Material | None, int] = {}
     parts, objects, sources = [], [], []
-    override = context.view_layer.material_override
+    override = depsgraph.view_layer.material_override
     for instance in depsgraph.object_instances:
         obj = instance.object
         original = obj.original
@@ -115,7 +153,7 @@ def _read_parts(context, depsgraph, warnings, atlas):
         if instance.is_instance and not instance.show_self and not instance.show_particles:
             continue
         name = original.name if not instance.is_instance else f"{instance.parent.original.name}: {original.name}"
-        faces = _faces(obj, cache, original, warnings)
+        faces = _faces(obj, cache, original, layer_of is not None)
         if faces is None:
             if not instance.is_instance:
                 warnings.append(f"'{name}' has no faces; it is left out.")
@@ -138,7 +176,8 @@ def _read_parts(context, depsgraph, warnings, atlas):
         if uv is not None:
             scale, offset = rectangle(place)
             uv = uv * scale + offset
-        parts.append(_place(faces, instance.matrix_world, uv, lookup, at_vertices))
+        textures = _texture_uv(faces, slots, layer_of) if layer_of is not None else None
+        parts.append(_place(faces, instance.matrix_world, uv, lookup, at_vertices, textures))
         objects.append(
             SceneObject(
                 name,
@@ -147,15 +186,30 @@ def _read_parts(context, depsgraph, warnings, atlas):
                 reflects=bool(original.visible_diffuse),
                 weight=weight_of(original),
                 at_vertices=at_vertices,
+                seen=bool(original.visible_camera),
             )
         )
         sources.append(original)
-    if not parts:
-        raise SceneError(_nothing_found(context))
     return parts, objects, sources, list(index)
 
 
+def _texture_uv(faces, slots, layer_of):
+    """(T, 3, 2) of the layers that the slots' materials read, None where none does."""
+    found = None
+    for number, material in enumerate(slots):
+        layer = layer_of(material)
+        if layer is None or layer not in faces.layers:
+            continue
+        if found is None:
+            found = np.full((len(faces.triangles), 3, 2), np.nan, np.float32)
+        rows = np.minimum(faces.slots, len(slots) - 1) == number
+        found[rows] = faces.layers[layer][rows]
+    return found
+
+
 def _renders(instance, original, rendered, members) -> bool:
+    if rendered is None:
+        return True
     if not instance.is_instance:
         return original in rendered
     parent = instance.parent.original
@@ -216,13 +270,13 @@ def _warn_unsupported(obj, warnings) -> None:
         warnings.append(f"'{obj.name}' uses adaptive subdivision; its ordinary subdivision is baked.")
 
 
-def _faces(obj, cache, original, warnings) -> Faces | None:
+def _faces(obj, cache, original, layers) -> Faces | None:
     key = obj.data.as_pointer()
     if key not in cache:
         # in Edit Mode the evaluated mesh is a wrapper without arrays; to_mesh fills them
         editing = original.data.is_editmode
         mesh = obj.to_mesh() if editing else obj.data
-        cache[key] = read_faces(mesh) if mesh is not None else None
+        cache[key] = read_faces(mesh, layers) if mesh is not None else None
         if editing:
             obj.to_mesh_clear()
     return cache[key]
@@ -264,7 +318,7 @@ def _takes_light(instance, original, place, warnings) -> bool:
     return bool(place.get("lightpanes_baked", 0.0))
 
 
-def _place(faces: Faces, matrix, uv, lookup, at_vertices) -> _Part:
+def _place(faces: Faces, matrix, uv, lookup, at_vertices, textures=None) -> _Part:
     """Faces in world space, with their atlas coordinates if they have some; a mirroring matrix turns the winding, so that geometric normals stay outside."""
     world = np.array(matrix, np.float64)
     linear = world[:3, :3]
@@ -279,6 +333,7 @@ def _place(faces: Faces, matrix, uv, lookup, at_vertices) -> _Part:
     if mirrored:
         triangles, normals, uv = triangles[:, ::-1].copy(), normals[:, ::-1], uv[:, ::-1]
         loops = loops[:, ::-1]
+        textures = None if textures is None else textures[:, ::-1]
     a, b, c = (positions[triangles[:, k]].astype(np.float64) for k in range(3))
     face_normals = np.cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=2)
@@ -287,7 +342,9 @@ def _place(faces: Faces, matrix, uv, lookup, at_vertices) -> _Part:
     normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-30)
     slots = np.minimum(faces.slots, len(lookup) - 1)
     loops = loops if at_vertices else None
-    return _Part(positions, triangles, normals.astype(np.float32), uv.astype(np.float32), lookup[slots], loops)
+    return _Part(
+        positions, triangles, normals.astype(np.float32), uv.astype(np.float32), lookup[slots], loops, textures
+    )
 
 
 def fingerprint(context: bpy.types.Context) -> dict[str, str]:

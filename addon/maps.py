@@ -59,6 +59,13 @@ def bake_maps(
         scene.warnings.append(f"'{owner}' has no texels, so material '{used[k].name}' is taken as its mean there.")
 
 
+def means(context, material: bpy.types.Material, kinds: list[str], warnings: list[str]) -> dict[str, np.ndarray]:
+    """(3,) mean of each of the kinds over a square with the material on it."""
+    with _Studio(context) as studio:
+        swatch = studio.add_swatch(material)
+        return {kind: studio.bake([swatch], kind, SWATCH, warnings).reshape(-1, 3).mean(axis=0) for kind in kinds}
+
+
 def _set(scene, index, kind, value) -> None:
     changed = list(scene.materials)
     changed[index] = replace(changed[index], **{kind: tuple(float(v) for v in value)})

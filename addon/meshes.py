@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
@@ -27,7 +27,8 @@ class Faces:
 
     positions (V, 3) float32; triangles (T, 3) int32; normals (T, 3, 3) float32; flat (T,) bool;
     loops (T, 3) int32 of the mesh, which has so many corners; slots (T,) int32 material slot; uv (T, 3, 2) float32 or
-    None where the layer is missing.
+    None where the layer is missing. layers: all UV layers (T, 3, 2) by name, where they were asked for; the one that
+    renders by "", too.
     """
 
     positions: np.ndarray
@@ -38,6 +39,7 @@ class Faces:
     slots: np.ndarray
     uv: np.ndarray | None
     corners: int
+    layers: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 def weight_of(obj: bpy.types.Object) -> float:
@@ -45,7 +47,8 @@ def weight_of(obj: bpy.types.Object) -> float:
     return float(getattr(getattr(obj, "lightpanes", None), "weight", 1.0))
 
 
-def read_faces(mesh) -> Faces | None:
+def read_faces(mesh, layers: bool = False) -> Faces | None:
+    """The mesh's triangles, None where it has none. layers: read all UV layers."""
     if not len(mesh.polygons):
         return None
     mesh.calc_loop_triangles()
@@ -80,7 +83,18 @@ def read_faces(mesh) -> Faces | None:
         slots[polygons],
         uv,
         len(mesh.loops),
+        _read_layers(mesh, corners) if layers else {},
     )
+
+
+def _read_layers(mesh, corners) -> dict[str, np.ndarray]:
+    found = {}
+    for layer in mesh.uv_layers:
+        uv = read_attribute(mesh, layer.name, len(mesh.loops), 2, "vector", np.float32)
+        found[layer.name] = uv[corners].reshape(-1, 3, 2)
+        if layer.active_render:
+            found[""] = found[layer.name]
+    return found
 
 
 def read_attribute(mesh, name: str, count: int, width: int, field: str, dtype) -> np.ndarray:

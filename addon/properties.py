@@ -142,6 +142,30 @@ class SceneSettings(bpy.types.PropertyGroup):
         default=False,
         update=_cycles_changed,
     )
+    samples: IntProperty(
+        name="Samples",
+        description="Frames of one sample a pixel that a render with the engine Lightpanes adds up",
+        default=64,
+        min=1,
+        soft_max=1024,
+        max=65536,
+    )
+    viewport_samples: IntProperty(
+        name="Viewport",
+        description="Frames that a viewport adds up before it rests",
+        default=256,
+        min=1,
+        soft_max=4096,
+        max=65536,
+    )
+    bounces: IntProperty(
+        name="Bounces",
+        description="Diffuse bounces of indirect light where no bake knows it, at most",
+        default=8,
+        min=0,
+        soft_max=16,
+        max=64,
+    )
     show_points: EnumProperty(
         name="Points",
         description="Draw the points that hold the light in the 3D viewports",

@@ -183,7 +183,7 @@ def _cap_samples(light, rows, middle, normal, cosine, sine2, distance, free, str
         reference[0, blind] = 1
     way = distance(z, radius)
     direction = [z * middle[k] + a * tangent[k] + b * bitangent[k] for k in range(3)]
-    weight = reference * _cone(light, direction) if light.kind == "SPOT" else reference
+    weight = reference * spot_cone(light, direction) if light.kind == "SPOT" else reference
     return _Lit(rows, free, reference, weight, tuple(d * way for d in direction))
 
 
@@ -210,7 +210,7 @@ def _ball(light: Light, points, normals, strata, reach) -> Iterator[_Lit]:
     if radius2 == 0:
         weight = np.ones((1, len(rows)), np.float32)
         vectors = tuple(t[None, rows] for t in to_lamp)
-        aimed = _cone(light, [m[None] for m in middle]) if light.kind == "SPOT" else weight
+        aimed = spot_cone(light, [m[None] for m in middle]) if light.kind == "SPOT" else weight
         yield _Lit(rows, free, weight, aimed, vectors)
         return
 
@@ -241,7 +241,7 @@ def _inside(rows, to_lamp, normals, radius2, strata) -> _Lit:
     return _Lit(rows, free, weight, weight, tuple(d * way for d in direction))
 
 
-def _cone(light: Light, direction):
+def spot_cone(light: Light, direction):
     """Attenuation in [0, 1] of a spot along directions from points towards it.
 
     A lamp that is scaled unevenly has an elliptical cone: light.size holds the scale of X and Y over Z.

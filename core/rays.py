@@ -191,6 +191,11 @@ class Tracer:
         return single
 
     @property
+    def solid(self) -> tuple[Bvh, np.ndarray]:
+        """The hierarchy over the opaque triangles that cast shadows, and the (n,) numbers that these have in the scene."""
+        return self._solid, self._opaque
+
+    @property
     def solid_corners(self) -> np.ndarray:
         """(n, 3, 3) float32 corners, m, of the opaque triangles that cast shadows."""
         return self.scene.positions[self.scene.triangles[self._opaque]]

@@ -69,6 +69,7 @@ class SceneObject:
     at_vertices: takes its light at its vertices instead, without a place in the atlas.
     casts_shadow: blocks the lamps' shadow rays (Blender's ray visibility, Shadow).
     reflects: seen by diffuse rays (Blender's ray visibility, Diffuse).
+    seen: by the camera (Blender's ray visibility, Camera).
     weight: texel density relative to the other objects.
     """
 
@@ -78,6 +79,7 @@ class SceneObject:
     reflects: bool = True
     weight: float = 1.0
     at_vertices: bool = False
+    seen: bool = True
 
 
 @dataclass(frozen=True)
@@ -170,6 +172,8 @@ class Scene:
     positions: (V, 3) float32, m. triangles: (T, 3) int32 into positions.
     corner_normals: (T, 3, 3) float32 unit shading normals; the flat normal where shading is flat.
     atlas_uv: (T, 3, 2) float32 in [0, 1]; NaN for triangles without a place in the atlas.
+    texture_uv: (T, 3, 2) float32 of the image texture that a triangle's material reads, NaN where it reads none; None
+        where nobody asked. Bakes don't read it.
     triangle_material, triangle_object: (T,) int32 into materials and objects.
     albedo_map, emission_map, transmission_map: (H, W, 3) float32 over the atlas, or None;
         row 0 is v = 0 (Blender's order). Read for `mapped` materials only.
@@ -193,6 +197,7 @@ class Scene:
     emission_map: np.ndarray | None = None
     transmission_map: np.ndarray | None = None
     warnings: list[str] = field(default_factory=list)
+    texture_uv: np.ndarray | None = None
 
     def __post_init__(self):
         self.positions = np.ascontiguousarray(self.positions, np.float32).reshape(-1, 3)
@@ -250,8 +255,9 @@ class Scene:
             return
         if not keep.any():
             raise SceneError("Every face has zero area; scale the objects up or apply their scale.")
-        for name in ("triangles", "corner_normals", "atlas_uv", "triangle_material", "triangle_object"):
-            setattr(self, name, np.ascontiguousarray(getattr(self, name)[keep]))
+        for name in ("triangles", "corner_normals", "atlas_uv", "texture_uv", "triangle_material", "triangle_object"):
+            if getattr(self, name) is not None:
+                setattr(self, name, np.ascontiguousarray(getattr(self, name)[keep]))
 
     def triangle_cross(self, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
         """(n, 3) float32 of the triangles at `rows`, all if not given: geometric normal times twice the area."""

@@ -1,0 +1,291 @@
+"""The preview engine: frames of one sample a pixel, the caches that they share, and the images that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..implicit_cache import Cache
+from ..rays import chunks
+from ..sampling import PLASTIC, hash_uniform
+from ..scene import Light, SceneError, Sky
+from ..threads import in_threads
+from .accumulation import Film, PixelCache
+from .camera import Camera
+from .gbuffer import CHUNK, GBuffer, make_gbuffer
+from .light import Baked, Lamps
+from .paths import BakedLight, PathTracer
+from .pixel_filter import offsets
+from .surfaces import Surfaces
+
+PASSES = {
+    "Combined": 4,
+    "Diffuse Color": 3,
+    "Diffuse Direct": 3,
+    "Diffuse Indirect": 3,
+    "AO": 3,
+    "Normal": 3,
+    "Depth": 1,
+}
+"""Images that a preview makes, and their channels."""
+
+LATER = 2
+"""Frame k's view of the cached light counts as k to this power: later ones know more."""
+
+COARSE = 24.0
+"""Cells' edges of the cache that ends paths, in widths of a pixel."""
+
+KEPT_BYTES = 400e6
+"""Of views that are kept for a camera at rest."""
+
+_F = np.float32
+# Kronecker sequences, one a dimension: bounces, places on lamps, which lamp
+_STEPS = (PLASTIC, (2**0.5 - 1, 3**0.5 - 1), (5**0.5 - 2, 7**0.5 - 2))
+
+
+@dataclass(frozen=True)
+class Settings:
+    """bounces: of indirect light, at most. places: in a pixel, that a camera at rest goes through, 1 for its middle alone.
+    filter_width: of a pixel, px. ao_distance: m, beyond which nothing occludes. transparent: the camera does not see the
+    sky. split: keep first light, indirect light and occlusion apart, for the passes that show them; else Combined alone.
+    cached: share light between pixels, in the world-space cache; else every pixel has its own mean."""
+
+    bounces: int = 8
+    places: int = 16
+    filter_width: float = 1.5
+    ao_distance: float = 10.0
+    transparent: bool = False
+    split: bool = True
+    cached: bool = True
+    seed: int = 0
+
+
+@dataclass
+class _View:
+    """One look through the camera. known: (k,) rows of the G-buffer's m whose indirect light a bake holds, rest: the
+    others. baked: first and indirect light of the known ones. places: of the rest, in the cache. shifts: of numbers, for each dimension."""
+
+    buffer: GBuffer
+    known: np.ndarray
+    rest: np.ndarray
+    baked: tuple[np.ndarray, np.ndarray] | None
+    places: object = None
+    shifts: dict[int, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def bytes(self) -> int:
+        return 240 * len(self.buffer.rows) + 60 * len(self.buffer.depth)
+
+
+class Preview:
+    """Frames of a scene through a camera, each of one sample a pixel. The same seed gives the same images."""
+
+    def __init__(
+        self,
+        surfaces: Surfaces,
+        camera: Camera,
+        lights: Sequence[Light] = (),
+        sky: Sky | None = None,
+        settings: Settings | None = None,
+        baked: Baked | None = None,
+    ):
+        self.surfaces, self.camera = surfaces, camera
+        self.settings = settings or Settings()
+        self.sky, self.baked = sky, baked
+        scene = surfaces.scene
+        self._bounds = np.stack([scene.positions.min(axis=0), scene.positions.max(axis=0)]).astype(np.float64)
+        self._film = Film()
+        self._views: dict[int, _View] = {}
+        self.frames = 0
+        """Since the camera last moved or the light changed."""
+        self._drawn = 0
+        self._channels = {"first": 3, "indirect": 3, "ao": 1} if self.settings.split else {"light": 3}
+        self._cache = self._make_cache()
+        coarse = None
+        if self.settings.cached:
+            coarse = Cache(3, fine=COARSE, coarse=None, slots=1 << 18, seed=self.settings.seed)
+        self._span = 0.0
+        self._lamps = Lamps(lights, surfaces.tracer, self._bounds)
+        self._tracer = PathTracer(surfaces, self._lamps, sky, baked, coarse, self.settings.seed)
+
+    def _make_cache(self):
+        channels = sum(self._channels.values())
+        if self.settings.cached:
+            return Cache(channels, seed=self.settings.seed)
+        width, height = self.camera.size
+        return PixelCache(channels, width * height)
+
+    # ---- what may change ----
+
+    def look(self, camera: Camera) -> None:
+        """Look through another camera: the caches stay."""
+        self.camera = camera
+        self._views.clear()
+        if not self.settings.cached:
+            self._cache = self._make_cache()
+        self._start_again()
+
+    def light(self, lights: Sequence[Light], sky: Sky | None, baked: Baked | None = None) -> None:
+        """Light the scene otherwise: what is cached counts for little from now on."""
+        self.sky, self.baked = sky, baked
+        self._lamps = Lamps(lights, self.surfaces.tracer, self._bounds)
+        self._tracer = PathTracer(self.surfaces, self._lamps, sky, baked, self._tracer.coarse, self.settings.seed)
+        for cache in (self._cache, self._tracer.coarse):
+            if cache is not None:
+                cache.drop()
+        self._views.clear()
+        self._start_again()
+
+    def _start_again(self):
+        self._film.clear()
+        self.frames = 0
+
+    # ---- a frame ----
+
+    def frame(self) -> None:
+        """One more sample for every pixel."""
+        view = self._view(self.frames)
+        buffer = view.buffer
+        reflectance = buffer.reflectance / _F(np.pi)
+        count = len(buffer.depth)
+        direct = self._direct(view) * reflectance
+        parts = self._cached_light(view)
+        self.frames += 1
+        self._drawn += 1
+        film, weight = self._film, float(self.frames) ** LATER
+        film.add("seen", np.concatenate([buffer.seen, buffer.alpha[:, None]], axis=1))
+        film.add("direct", _spread(direct, buffer.rows, count))
+        if "light" in parts:
+            film.add("light", _spread(parts["light"] * reflectance, buffer.rows, count), weight)
+            return
+        for name in ("first", "indirect"):
+            film.add(name, _spread(parts[name] * reflectance, buffer.rows, count), weight)
+        film.add("ao", _spread(parts["ao"], buffer.rows, count), weight)
+        film.add("colour", _spread(buffer.reflectance, buffer.rows, count))
+        film.add("normal", buffer.shown_normal)
+        if "depth" not in film:
+            film.add("depth", buffer.depth[:, None])
+
+    def image(self, name: str = "Combined") -> np.ndarray:
+        """(height, width, channels) float32 of one of PASSES, row 0 at the bottom; linear, W/(m² sr) where it is light.
+
+        Combined is premultiplied by its alpha. Raises SceneError before the first frame, or for a pass that is not made.
+        """
+        if not self.frames:
+            raise SceneError("There is no image before the first frame.")
+        if name not in PASSES or (name != "Combined" and not self.settings.split):
+            raise SceneError(f"The preview makes no pass {name!r}; it makes {', '.join(PASSES)}.")
+        film = self._film
+        if name == "Combined":
+            made = film.mean("seen")
+            shown = ["direct", "light"] if "light" in film else ["direct", "first", "indirect"]
+            made[:, :3] += sum(film.mean(part) for part in shown)
+            if not self.settings.transparent:
+                made[:, 3] = 1
+        elif name in ("Diffuse Direct", "Diffuse Indirect"):
+            light = film.mean("indirect") if name == "Diffuse Indirect" else film.mean("direct") + film.mean("first")
+            colour = film.mean("colour")
+            made = np.where(colour > 1e-6, light / np.maximum(colour, 1e-6), 0)
+        else:
+            made = film.mean({"Diffuse Color": "colour", "AO": "ao", "Normal": "normal", "Depth": "depth"}[name])
+            if name == "AO":
+                made = np.repeat(made, 3, axis=1)
+        width, height = self.camera.size
+        return made.reshape(height, width, -1).astype(np.float32)
+
+    def _view(self, number: int) -> _View:
+        """The view of a frame; those that a camera at rest comes back to are kept."""
+        settings = self.settings
+        place = number % settings.places
+        if place in self._views:
+            return self._views[place]
+        offset = offsets(place + 1, settings.filter_width, settings.seed)[place]
+        buffer = make_gbuffer(self.surfaces, self.camera, self.sky, offset, settings.seed + place, settings.transparent)
+        known, rest, baked = np.zeros(0, np.int64), np.arange(len(buffer.rows)), None
+        if self.baked is not None:
+            bake = BakedLight(self.surfaces, self.baked)
+            held = bake.knows[buffer.triangle]
+            known, rest = np.flatnonzero(held), np.flatnonzero(~held)
+            baked = bake.read(buffer.triangle[known], buffer.u[known], buffer.v[known])
+        view = _View(buffer, known, rest, baked)
+        if len(buffer.footprint):
+            span = float(np.median(buffer.footprint))
+            # another unit is another cache, so it stays while it is about right
+            if not 0.4 < self._span / max(span, 1e-30) < 2.5:
+                self._span = span
+        if (len(self._views) + 1) * view.bytes <= KEPT_BYTES:
+            self._views[place] = view
+        return view
+
+    def _numbers(self, view: _View, dimension: int) -> np.ndarray:
+        """(2, m) in [0, 1), well spread over the frames of a pixel; pixels differ by hashes."""
+        if dimension not in view.shifts:
+            pixel = view.buffer.rows.astype(np.uint32)
+            view.shifts[dimension] = np.stack(
+                [hash_uniform(pixel, 50 + 2 * dimension + k, self.settings.seed) for k in (0, 1)]
+            )
+        # float64: the product's fraction is what counts
+        turn = np.array(_STEPS[dimension]) * self._drawn % 1
+        numbers = view.shifts[dimension] + turn[:, None].astype(np.float32)
+        numbers -= np.floor(numbers)
+        return np.minimum(numbers, _F(1 - 2**-24), out=numbers)
+
+    def _direct(self, view: _View) -> np.ndarray:
+        """(m, 3) W/m² of the lamps."""
+        buffer = view.buffer
+        if not len(self._lamps) or not len(buffer.rows):
+            return np.zeros((len(buffer.rows), 3), np.float32)
+        u, pick = self._numbers(view, 1), self._numbers(view, 2)[0]
+        parts = in_threads(
+            lambda s: self._lamps.irradiance(buffer.position[s], buffer.normal[s], u[:, s], pick[s]),
+            chunks(len(buffer.rows), CHUNK),
+        )
+        return np.concatenate(parts)
+
+    def _cached_light(self, view: _View) -> dict[str, np.ndarray]:
+        """(m, C) of each cache's light, as it is known after this frame's samples."""
+        buffer, rest = view.buffer, view.rest
+        whole = len(rest) == len(buffer.rows)
+
+        def part(values):
+            return values if whole else values[rest]
+
+        made = np.zeros((len(buffer.rows), sum(self._channels.values())), np.float32)
+        if view.baked is not None:
+            first, indirect = view.baked
+            shown = np.concatenate(view.baked, axis=1) if self.settings.split else first + indirect
+            made[view.known, : shown.shape[1]] = shown
+        if len(rest):
+            position, normal, owner = part(buffer.position), part(buffer.normal), part(buffer.object_id)
+            pixel, numbers = part(buffer.rows), self._numbers(view, 0)
+            light = self._tracer.gather(
+                position, normal, part(buffer.flat), pixel.astype(np.uint32), self._span, numbers if whole else numbers[:, rest],
+                self._drawn, self.settings.bounces,
+            )  # fmt: skip
+            values = light.total
+            if self.settings.split:
+                free = (light.way > self.settings.ao_distance).astype(np.float32)
+                values = np.concatenate([light.first, light.indirect, free[:, None]], axis=1)
+            if not self.settings.cached:
+                view.places = pixel
+            elif view.places is None or not self._cache.holds(view.places):
+                view.places = self._cache.look_up(position, normal, owner, part(buffer.footprint))
+            self._cache.add(view.places, values)
+            read = self._cache.read(view.places)
+            if whole:
+                made = read
+            else:
+                made[rest] = read
+        ends = np.cumsum(list(self._channels.values()))[:-1]
+        return dict(zip(self._channels, np.split(made, ends, axis=1), strict=True))
+
+
+def _spread(values: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
+    """(count, C): values at rows, 0 elsewhere."""
+    if len(rows) == count:
+        return values
+    image = np.zeros((count, values.shape[1]), np.float32)
+    image[rows] = values
+    return image

@@ -1,0 +1,236 @@
+"""The preview engine: its light against Cycles' through a camera, its frames against their rays, its bias and flicker.
+
+SSIM of indirect light is that of the pass Diffuse Indirect (radiance on white), of whole images that of Combined; both
+are linear, times two to the scene's exposure, clipped to [0, 1]. Cycles' reference is path traced, 12 bounces, unbiased.
+Times are the best of interleaved runs at 480 × 270; those of the cache are beside those of the frame's rays alone.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import bpy
+import numpy as np
+from lightpanes.addon import shown, view
+from lightpanes.core import metrics
+from lightpanes.core.preview import Camera, Preview, Settings
+from lightpanes.core.rays import chunks
+from lightpanes.core.threads import in_threads
+
+from . import harness, scenes, views
+
+SAMPLE, PERCENT, BOUNCES = "two_rooms", 40, 12
+REFERENCE = 1024
+FRAMES = 64
+WIDTH, HEIGHT = 480, 270
+BAKE = {"resolution": 512, "error_target": 0.02}
+
+
+def rows() -> Iterator[dict]:
+    """Rows of the table in the issue that are the engine's."""
+    scene = _open()
+    truth = views.cycles_view(scene, REFERENCE, bounces=BOUNCES).passes
+    exposure = 2.0**scene.view_settings.exposure
+    surfaces, lighting, camera = _read(scene)
+    yield from _against(surfaces, lighting, camera, truth, exposure, "without a bake", 0.95)
+    yield from _times(surfaces, lighting, scene)
+    yield from _bias(surfaces, lighting, camera)
+    yield from _race(scene, surfaces, lighting, camera, truth, exposure)
+    for name, value in BAKE.items():
+        setattr(scene.lightpanes, name, value)
+    bpy.ops.lightpanes.bake()
+    surfaces, lighting, camera = _read(scene)
+    yield from _against(surfaces, lighting, camera, truth, exposure, "with a bake", 0.97)
+    yield from _navigation(surfaces, lighting, scene)
+
+
+def _open():
+    bpy.ops.wm.open_mainfile(filepath=str(scenes.FOLDER / f"{SAMPLE}.blend"))
+    scene = bpy.context.scene
+    scene.render.resolution_percentage = PERCENT
+    return scene
+
+
+def _read(scene):
+    graph = bpy.context.evaluated_depsgraph_get()
+    warnings: list[str] = []
+    width, height = (int(s * PERCENT / 100) for s in (scene.render.resolution_x, scene.render.resolution_y))
+    camera = view.through_camera(scene.camera.evaluated_get(graph), scene.render, width, height, warnings)
+    return shown.read_surfaces(graph, warnings), shown.read_lighting(graph, warnings), camera
+
+
+def _preview(surfaces, lighting, camera, **settings) -> Preview:
+    more = {"bounces": BOUNCES} | settings
+    return Preview(surfaces, camera, lighting.lights, lighting.sky, Settings(**more), lighting.baked)
+
+
+def _similar(image, reference, exposure) -> float:
+    pair = (np.clip(picture[..., :3] * exposure, 0, 1) for picture in (image, reference))
+    return metrics.ssim(*pair)
+
+
+def _against(surfaces, lighting, camera, truth, exposure, label, bar):
+    preview = _preview(surfaces, lighting, camera)
+    for _ in range(FRAMES):
+        preview.frame()
+    for name, mine in (("Diffuse Indirect", bar), ("Combined", None)):
+        image, reference = preview.image(name)[..., :3], truth[name][..., :3]
+        detail = f"relative RMSE {metrics.relative_rmse(image, reference):.3f}, bias {metrics.mean_bias(image, reference):+.4f}"
+        yield harness.row(
+            f"preview, {SAMPLE} against Cycles, {FRAMES} frames {label}: SSIM of {name}",
+            _similar(image, reference, exposure),
+            mine,
+            at_least=True,
+            detail=detail,
+        )
+    last = preview.image()[..., :3]
+    preview.frame()
+    change = np.sqrt(((preview.image()[..., :3] - last) ** 2).mean()) / last.mean()
+    yield harness.row(f"preview, flicker after {FRAMES} frames {label}", 100 * change, 0.5, "%")
+
+
+def _interior(scene):
+    """A camera inside the room that has a lamp, and the same one, step by step."""
+    from mathutils import Vector
+
+    def at(step):
+        place = Vector((-3.4 + 0.01 * step, -1.5, 1.5))
+        turn = (Vector((-1.0, 1.0, 1.0)) - place).to_track_quat("-Z", "Y")
+        matrix = turn.to_matrix().to_4x4()
+        matrix.translation = place
+        return Camera.from_lens(np.array(matrix), WIDTH, HEIGHT, lens=20)
+
+    return at
+
+
+def _times(surfaces, lighting, scene):
+    """Frames of one bounce and of occlusion, beside the rays that they trace."""
+    at = _interior(scene)
+    kinds = {"one-bounce RGB": {"bounces": 1, "split": False}, "AO and one-bounce RGB": {"bounces": 1}}
+    for kind, settings in kinds.items():
+        still = _preview(surfaces, lighting, at(0), places=1, **settings)
+        moving = _preview(surfaces, lighting, at(0), places=1, **settings)
+        alone = _preview(surfaces, lighting, at(0), places=1, cached=False, **settings)
+        for preview in (still, moving, alone):
+            preview.frame()
+        buffer = still._views[0].buffer
+        ways = surfaces.scatter(
+            buffer.normal, buffer.flat, np.random.default_rng(0).random((2, len(buffer.rows)), np.float32)
+        )
+        pieces = chunks(len(buffer.rows), 1 << 14)
+
+        def rays(buffer=buffer, ways=ways, pieces=pieces):
+            def part(s):
+                surfaces.land(surfaces.reflecting, buffer.position[s], ways[s])
+                for _ in range(2):
+                    surfaces.tracer.visibility(buffer.position[s], ways[s])
+
+            in_threads(part, pieces)
+
+        best = {"still": np.inf, "moving": np.inf, "alone": np.inf, "rays": np.inf}
+        for step in range(12):
+
+            def walk(step=step, moving=moving):
+                moving.look(at(step + 1))
+                moving.frame()
+
+            runs = {"still": still.frame, "moving": walk, "alone": alone.frame, "rays": rays}
+            for name, run in runs.items():
+                started = time.perf_counter()
+                run()
+                best[name] = min(best[name], time.perf_counter() - started)
+        detail = f"without the cache {best['alone']:.3f} s, its rays alone {best['rays']:.3f} s"
+        yield harness.row(f"preview, {kind}, {WIDTH} × {HEIGHT}, at rest", best["still"], 0.06, "s", detail=detail)
+        yield harness.row(f"preview, {kind}, {WIDTH} × {HEIGHT}, moving", best["moving"], 0.12, "s")
+
+
+def _bias(surfaces, lighting, camera):
+    """Eight bounces by the caches against eight bounces by paths alone."""
+    small = Camera(camera.view, camera.projection, camera.width // 2, camera.height // 2)
+    paths = _preview(surfaces, lighting, small, bounces=8, cached=False, seed=5)
+    for _ in range(256):
+        paths.frame()
+    reference = paths.image("Diffuse Indirect")
+    cached = _preview(surfaces, lighting, small, bounces=8)
+    for _ in range(FRAMES):
+        cached.frame()
+    bias = metrics.mean_bias(cached.image("Diffuse Indirect"), reference)
+    yield harness.row(
+        f"preview, bias of eight bounces after {FRAMES} frames", 100 * abs(bias), 1.0, "%", detail=f"{bias:+.4f}"
+    )
+
+
+def _race(scene, surfaces, lighting, camera, truth, exposure):
+    """Seconds until SSIM 0.95 of the whole image, ours and Cycles' with and without its denoiser."""
+    curves: dict[str, list[tuple[float, float]]] = {"Lightpanes": [], "Cycles": [], "Cycles, denoised": []}
+    preview, spent = _preview(surfaces, lighting, camera, split=False), 0.0
+    for frame in range(256):
+        started = time.perf_counter()
+        preview.frame()
+        spent += time.perf_counter() - started
+        if frame + 1 in (1, 2, 4, 8, 16, 32, 64, 128, 256):
+            curves["Lightpanes"].append((spent, _similar(preview.image(), truth["Combined"], exposure)))
+    for label, denoise in (("Cycles", False), ("Cycles, denoised", True)):
+        for samples in (1, 4, 16, 64) if denoise else (4, 16, 64, 256):
+            made = views.cycles_view(scene, samples, seed=7, bounces=BOUNCES, denoise=denoise, keep=False)
+            curves[label].append((made.seconds, _similar(made.passes["Combined"], truth["Combined"], exposure)))
+    _chart(curves)
+    reached = {label: _until(curve, 0.95) for label, curve in curves.items()}
+    for label, seconds in reached.items():
+        mine = label == "Lightpanes"
+        detail = ", ".join(f"{s:.2f} s {value:.3f}" for s, value in curves[label])
+        bar = reached["Cycles"] if mine and np.isfinite(reached["Cycles"]) else None
+        yield harness.row(
+            f"preview, time to SSIM 0.95: {label}", seconds, bar, "s", ok=None if mine else True, detail=detail
+        )
+
+
+def _until(curve, wanted) -> float:
+    """Seconds at which a curve of (seconds, SSIM) reaches a value, between its points by the logarithm of time."""
+    seconds, values = (np.array(column) for column in zip(*curve, strict=True))
+    above = np.flatnonzero(values >= wanted)
+    if not len(above):
+        return float("inf")
+    k = above[0]
+    if k == 0:
+        return float(seconds[0])
+    return float(np.exp(np.interp(wanted, values[k - 1 : k + 1], np.log(seconds[k - 1 : k + 1]))))
+
+
+def _chart(curves) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(6, 4))
+    for label, curve in curves.items():
+        axes.semilogx(*zip(*curve, strict=True), "o-", label=label)
+    axes.axhline(0.95, color="grey", linewidth=0.5)
+    axes.set(xlabel="seconds", ylabel="SSIM of the image against Cycles' reference", title=SAMPLE)
+    axes.legend()
+    figure.tight_layout()
+    harness.OUT.mkdir(parents=True, exist_ok=True)
+    figure.savefig(harness.OUT / "preview_time.png", dpi=100)
+    plt.close(figure)
+
+
+def _navigation(surfaces, lighting, scene):
+    """Frames a second while the camera moves and a bake holds the indirect light."""
+    at = _interior(scene)
+    preview = _preview(surfaces, lighting, at(0), places=1, split=False)
+    best = np.inf
+    for step in range(16):
+        started = time.perf_counter()
+        preview.look(at(step))
+        preview.frame()
+        best = min(best, time.perf_counter() - started)
+    yield harness.row(
+        f"preview, relit navigation, {WIDTH} × {HEIGHT}",
+        1 / best,
+        8,
+        "frames/s",
+        at_least=True,
+        detail=f"{best:.3f} s a frame",
+    )
