@@ -5,7 +5,6 @@ How it follows them, coarsely or in full, is `live_image`'s.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
