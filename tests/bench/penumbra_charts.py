@@ -23,7 +23,7 @@ def draw(series: dict[str, dict[str, list[tuple[float, float]]]]) -> None:
             axes.plot(*zip(*points, strict=True), marker="o", markersize=4, label=name)
         axes.axhline(1, color="0.3", linewidth=1)
         axes.text(0.02, 1.04, "as fast as rays", transform=axes.get_yaxis_transform(), fontsize=7, color="0.3")
-        axes.set(xscale="log", yscale="log", xlabel=quantity, ylabel="speed over Embree's rays", ylim=(0.4, 40))
+        axes.set(xscale="log", yscale="log", xlabel=quantity, ylabel="speed over Embree's rays", ylim=(0.4, 100))
         axes.yaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda v, _: f"{v:g}"))
         axes.grid(which="both", color="0.93")
         axes.legend(fontsize=7, frameon=False)
