@@ -11,6 +11,7 @@ from ..scene import Light
 from .deposit import deposit
 from .emission import Emitter, emitters, is_soft
 from .families import families, followed
+from .landings import Landings, landings_of, none
 from .quadtree import Forest, Photons
 from .receivers import Receivers
 from .splat import SAMPLES
@@ -60,19 +61,6 @@ class Energy:
     escaped: float
     missed: float
     untraced: float
-
-
-@dataclass(frozen=True)
-class Landings:
-    """Where light that casters sent on first met a surface that scatters it, with or without a place in the atlas.
-
-    position: (n, 3) float32, m. normal: (n, 3) float32 unit geometric normal on the side that it met. power: (n, 3)
-    float32 W that each stands for, at the lamp's unit power.
-    """
-
-    position: np.ndarray
-    normal: np.ndarray
-    power: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -201,14 +189,7 @@ class LampCaustics:
         return Energy(emitted, landed, absorbed, escaped, missed, untraced)
 
     def landings(self) -> Landings:
-        if not self._trees:
-            none = np.zeros((0, 3), np.float32)
-            return Landings(none, none, none)
-        photons = self._forest.photons
-        power = photons.power * self._forest.weights()[:, None].astype(np.float32)
-        rows = np.flatnonzero(power.max(axis=1) > 0)
-        power = np.broadcast_to(power[rows], (len(rows), 3)).copy()
-        return Landings(photons.rest[rows, :3], photons.rest[rows, 3:6], power)
+        return landings_of(self._forest) if self._trees else none()
 
     def _plant(self, points: int, photons: float) -> None:
         """Trees for so many points of the lamp, on grids with about so many photons in all."""

@@ -68,7 +68,7 @@ def _shares(place, extent, size):
 
 
 @cache
-def _biquadratic(across: int, along: int) -> np.ndarray:
+def biquadratic(across: int, along: int) -> np.ndarray:
     """(across · along, 9) float32 weights of a patch's 3 × 3 vertices at the middles of its sub-samples."""
 
     def line(count):
@@ -166,7 +166,7 @@ def counts(lengths, power: np.ndarray, rough: np.ndarray, budget: float) -> tupl
 def _samples(values, na, nb, first):
     """x, y (n,), patch (n,) and power (c, n) of the sub-samples of patches that have na × nb of them each."""
     columns, m = values.shape[1:]
-    found = _biquadratic(na, nb) @ values.reshape(9, -1)
+    found = biquadratic(na, nb) @ values.reshape(9, -1)
     found = found.reshape(na * nb, columns, m).transpose(1, 0, 2)
     patch = np.tile(np.arange(first, first + m), na * nb)
     # a parabola between photons may dip below nothing
