@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +32,9 @@ SOFT = 16
 
 NEW = 10
 """New photons of a refined patch, about; it has sixteen, some of them its neighbours' too."""
+
+FEWER = 4
+"""Points of a soft lamp for one from which weaker families start."""
 
 WHOLE = 200_000
 """Photons up to which a lamp's patches are kept together; more are traced part by part."""
@@ -168,7 +171,7 @@ class LampCaustics:
             self._power = np.zeros((self._receivers.resolution**2, self._surfaces.channels))
             if self._trees:
                 rows = np.arange(len(self._forest))
-                samples = SAMPLES if self.done else SAMPLES / 4
+                samples = SAMPLES if self.done else SAMPLES / 8
                 self._power = deposit(self._forest, rows, self._receivers, samples, self._threads)
         return self._power
 
@@ -198,15 +201,20 @@ class LampCaustics:
         for caster in surfaces.casters:
             places = surfaces.bounding(caster, self.light)
             squares = emitters(self.light, places, points, self._seed, surfaces.extent)
+            if len(squares) > 1:
+                # grids of different points must not fall onto one another, or their coarseness shows
+                squares = [square.shifted(k, self._seed) for k, square in enumerate(squares)]
             if not squares:
                 continue
             chosen = families(surfaces, squares[len(squares) // 2], int(caster), self._seed)
             unfollowed = followed(chosen)
-            self._trees += [
-                Tree(square, int(caster), int(family), unfollowed[k])
-                for k, family in enumerate(chosen)
-                for square in squares
-            ]
+            for k, family in enumerate(chosen):
+                # the weaker ways from a quarter of the points, each of which gets as many photons more
+                step = FEWER if family and len(squares) >= 4 * FEWER else 1
+                self._trees += [
+                    Tree(replace(square, share=square.share * step), int(caster), int(family), unfollowed[k])
+                    for square in squares[step // 2 :: step]
+                ]
         self._power = None
         if not self._trees:
             self._forest = None
@@ -223,7 +231,7 @@ class LampCaustics:
     def _refine_worst(self, forest: Forest, photons: float) -> bool:
         """Refine the patches with the highest scores by about so many photons; False where there is nothing to do."""
         scores = forest.scores()
-        rows = np.argsort(-scores, kind="stable")[: int(photons / NEW)]
+        rows = np.argsort(-scores, kind="stable")[: max(0, int(photons / NEW))]
         rows = rows[scores[rows] > 0]
         if not len(rows):
             return False
