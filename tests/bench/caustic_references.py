@@ -49,19 +49,22 @@ def points(
     seed: int,
     stratified: bool = True,
     spread: Callable | None = None,
+    lamp_points: int = 1,
 ) -> np.ndarray:
     """(resolution², c) float64 W that point photons bring to each texel. spread: how a photon is shared by texels,
     (sums, x, y, power) → None; None: it goes to its own.
 
-    stratified: a jittered grid for each family, else random places.
+    lamp_points: of a soft lamp. stratified: a jittered grid for each family, else random places.
     """  # fmt: skip
     random = np.random.default_rng(seed)
     size = receivers.resolution
     total = np.zeros((surfaces.channels, size * size))
     trees = []
     for caster in surfaces.casters.tolist():
-        for emitter in emitters(light, surfaces.bounding(caster, light), 1, 0, surfaces.extent):
-            trees += [(emitter, caster, int(f)) for f in families(surfaces, emitter, caster)]
+        squares = emitters(light, surfaces.bounding(caster, light), lamp_points, 0, surfaces.extent)
+        chosen = families(surfaces, squares[len(squares) // 2], caster) if squares else []
+        for emitter in squares:
+            trees += [(emitter, caster, int(f)) for f in chosen]
     for emitter, caster, family in trees:
         side = max(2, round(np.sqrt(photons / len(trees))))
         for start in range(0, side * side, BATCH):
