@@ -2,6 +2,7 @@
 
 from .atlas import PHOTONS, CausticAtlas, Progress
 from .casters import SHARP, Casters, casters, is_caster
-from .lamp import Energy, Landings
+from .lamp import Energy
+from .landings import Landings
 
 __all__ = ["PHOTONS", "SHARP", "Casters", "CausticAtlas", "Energy", "Landings", "Progress", "casters", "is_caster"]

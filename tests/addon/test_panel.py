@@ -131,7 +131,7 @@ def test_objects_and_lamps(room):
     assert texts(shown, "prop") == ["live", "group", "samples"]
     assert draw(panel.LIGHTPANES_PT_light, Context(light=None)) is None
     bpy.context.view_layer.objects.active = block
-    assert texts(draw(panel.LIGHTPANES_PT_output), "prop") == ["target", "direct", "storage"]
+    assert texts(draw(panel.LIGHTPANES_PT_output), "prop") == ["target", "direct", "caustics", "storage"]
 
 
 def test_no_lamps(room):
