@@ -367,7 +367,7 @@ def test_a_lamp_behind_a_wall_and_tinted_glass():
     """The entries near the lamp face away from it, so that no ray says that light there is tinted."""
     baked = baked_room()[1]
     tinted = SimpleNamespace(visibility=lambda origins, _: np.tile(np.float32([1, 0.5, 0]), (len(origins), 1)))
-    behind = lamp((2, 1.5, -0.05))
+    behind = lamp((-0.9, 1.5, 1.25))
     found = EntryLight(baked.panes().surface, tinted).unit(behind)
     assert found.shape == (len(baked.panes().surface), 3) and found[:, 0].max() > 0
     assert np.allclose(found[:, 1], 0.5 * found[:, 0]) and not found[:, 2].any()
