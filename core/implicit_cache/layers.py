@@ -60,4 +60,4 @@ def number_entries(entry: np.ndarray, entries: int) -> tuple[np.ndarray, np.ndar
     own = np.flatnonzero(used)
     number = np.empty(entries, np.int32)
     number[own] = np.arange(len(own), dtype=np.int32)
-    return own, number[entry]
+    return own, number.take(entry)
