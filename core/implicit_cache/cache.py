@@ -255,12 +255,13 @@ class Cache:
         values = values.reshape(places.count, self.channels)
         by_channel = np.ascontiguousarray(values.T)
         slot = self._slots(places)
-        known = self._sums(slot)
 
         def gather(item):
             piece, layers, thin = item
             sums = [np.stack([layer.sums(row[piece]) for row in by_channel]) for layer in layers]
-            spread = scatter(thin[1], known, by_channel[:, piece][:, ::EVERY]) if thin else None
+            spread = (
+                scatter(thin[1], self._sums(slot[thin[1].entry]), by_channel[:, piece][:, ::EVERY]) if thin else None
+            )
             return sums, spread
 
         items = zip(_pieces(places.count), places.pieces, places.thin, strict=True)
@@ -297,12 +298,12 @@ class Cache:
         trust = self._measured_trust(places, sums) if self.measured else None
 
         def mix(layers):
-            total = layers[-1].mixtures(sums)
+            total = layers[-1].mixtures(sums.take(layers[-1].entry))
             # from the coarsest on: what is known by then joins the sums of the next as so many samples
             for k in range(len(layers) - 2, -1, -1):
-                worth = self.trust[k] if k or trust is None else layers[1].mixtures(trust)[0]
+                worth = self.trust[k] if k or trust is None else layers[1].mixtures(trust.take(layers[1].entry))[0]
                 total *= np.minimum(total[-1], worth) / np.maximum(total[-1], TINY)
-                total += layers[k].mixtures(sums)
+                total += layers[k].mixtures(sums.take(layers[k].entry))
             total[:-1] /= np.maximum(total[-1], TINY)
             return total
 
@@ -318,7 +319,10 @@ class Cache:
         total = np.zeros((3, len(places.slot)))
         for (_, coarse), part in zip(places.thin, in_threads(depart, places.thin, self.threads), strict=True):
             total[:, coarse.entry] += part
-        return Packed(worth(noise, total, self.trust[0])[None])
+        trust = np.full((1, len(noise)), self.trust[0], np.float32)
+        rows = np.flatnonzero(total[2] > 0)
+        trust[0, rows] = worth(noise[rows], total[:, rows], self.trust[0])
+        return Packed(trust)
 
     def age(self, factor: float = 0.9) -> None:
         """Every count times `factor`: what is known weighs less beside what comes."""
