@@ -1,8 +1,9 @@
 """The cache that a preview uses: what frames find at surfaces, kept in world space and read back without noise.
 
-Each sample is split over the corners of two lattices, a fine and a coarse one, by trilinear weights. A read is
-(S + k V) / (C + k): S and C are the sum and the count of samples that the fine corners hold, V the coarse mean, and k
-says how many samples that mean is worth. So the first frames are smooth, later ones sharp, and nothing is tuned.
+Each sample is split over the corners of three lattices, from fine to coarse, by trilinear weights. A read is
+(S + k V) / (C + k): S and C are the sum and the count of samples that the fine corners hold, V the mean of the next
+coarser ones, made likewise, and k says how many samples that mean is worth (trust.py). So the first frames are smooth,
+later ones sharp, and nothing is tuned.
 """
 
 from __future__ import annotations
@@ -139,7 +140,7 @@ class Cache:
     ) -> Places:
         """Entries for places, made where they are missing.
 
-        position: (n, 3) float32, m; float64 where a scene is farther from the origin than 10,000 of its cells' sizes.
+        position: (n, 3) float32, m; float64 where a scene is farther than a million of its cells from the origin.
         normal: (n, 3) float32 unit, towards the side that is seen; None where all sides share entries.
         object_id: (n,) integers, None where all objects share them.
         footprint: (n,) or one number, m: what a pixel covers there. Levels are powers of two.
@@ -290,7 +291,7 @@ class Cache:
         return np.ascontiguousarray(self._read(places, otherwise.T)[0])
 
     def known(self, places: Places) -> np.ndarray:
-        """(n,) float32 count of samples that a read at each place rests on, both layers together."""
+        """(n,) float32 count of samples that a read at each place rests on, coarse means as what they are worth."""
         return self._read(places, 0.0)[1]
 
     def _read(self, places, otherwise):
