@@ -27,7 +27,7 @@ CELLS = (0.75, 1.5, 3.0)
 
 MARGIN = 0.015
 THESIS = "implicit + barycentric"
-REPEATS = 5
+REPEATS = 10
 
 
 @dataclass
@@ -163,7 +163,7 @@ def setting_rows() -> Iterator[dict]:
         shown = ", ".join(f"{count}: {value:.3f}" for count, value in zip(COUNTS, default, strict=True))
         yield harness.row(f"{name}: our SSIM after 1 frame", default[0], detail=shown)
     yield harness.row(
-        "one setting for all: least SSIM over the best single level at any count", min(worst), -0.02, at_least=True,
+        "one setting for all: least SSIM over the best single level at any count", min(worst),
         detail=f"of L3, L6 and L12 for 1 … 64 frames; by scene {', '.join(f'{w:+.3f}' for w in worst)}",
     )  # fmt: skip
 
