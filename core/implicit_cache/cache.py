@@ -15,7 +15,8 @@ import numpy as np
 from ..rays import chunks
 from ..threads import in_threads
 from .keys import CORNERS, lattice_keys, surface_keys
-from .lattice import Layer, Packed, corners
+from .lattice import corners
+from .layers import Layer, Packed, number_entries
 from .levels import levels_of
 from .table import MOST, Table
 from .trust import EVERY, MEMORY, departure, scatter, worth
@@ -168,19 +169,26 @@ class Cache:
             # before others are made, so that these are not forgotten for them
             self.table.touch(np.flatnonzero(used))
             used[self._make_missing(found)] = True
-        # entries in use get numbers in a row, so that sums and reads touch nothing else
         live = np.flatnonzero(used)
         number = np.empty(self.table.slots + 1, np.int32)
-        number[live] = np.arange(len(live))
+        number[live] = np.arange(len(live), dtype=np.int32)
 
         def settle(piece):
-            layers = [Layer(runs.weight, number[slot].astype(np.int64).take(runs.run, axis=1)) for runs, slot in piece]
+            layers = []
+            for runs, slot in piece:
+                entry, own = number_entries(number[slot], len(live))
+                layers.append(Layer(entry, runs.weight, own.astype(np.int64).take(runs.run, axis=1)))
             thin = [layer.thinned(EVERY) for layer in layers[:2]] if self.measured else []
-            return layers, thin, sum(layer.sums(None, len(live)) for layer in layers)
+            return layers, thin, [layer.sums() for layer in layers]
 
-        layers, thin, shares = zip(*in_threads(settle, pieces, self.threads), strict=True)
-        share = sum(shares).astype(np.float32)
-        return Places(count, live, self.table.tag[live], layers, thin, share, np.zeros((2, len(live))))
+        layers, thin, sums = zip(*in_threads(settle, pieces, self.threads), strict=True)
+        share = np.zeros(len(live))
+        for piece, parts in zip(layers, sums, strict=True):
+            for layer, part in zip(piece, parts, strict=True):
+                share[layer.entry] += part
+        return Places(
+            count, live, self.table.tag[live], layers, thin, share.astype(np.float32), np.zeros((2, len(live)))
+        )
 
     def _make_missing(self, found):
         """Make entries for all corners that have none, write their slots into `found` in place, and return them."""
@@ -224,27 +232,28 @@ class Cache:
             raise ValueError(f"{places.count} places take {self.channels} numbers each; these are {values.shape}.")
         values = values.reshape(places.count, self.channels)
         by_channel = np.ascontiguousarray(values.T)
-        entries = len(places.slot)
-
         slot = self._slots(places)
-        sums = self._sums(slot)
+        known = self._sums(slot)
 
         def gather(item):
             piece, layers, thin = item
-            total = np.stack([sum(layer.sums(row[piece], entries) for layer in layers) for row in by_channel])
-            spread = scatter(thin[1], sums, by_channel[:, piece][:, ::EVERY], entries) if thin else 0
-            return total, spread
+            sums = [np.stack([layer.sums(row[piece]) for row in by_channel]) for layer in layers]
+            spread = scatter(thin[1], known, by_channel[:, piece][:, ::EVERY]) if thin else None
+            return sums, spread
 
         items = zip(_pieces(places.count), places.pieces, places.thin, strict=True)
-        found = in_threads(gather, items, self.threads)
-        places.noise[:] = places.noise * MEMORY + sum(spread for _, spread in found)
+        sums = np.zeros((self.channels, len(slot)))
+        places.noise[:] *= MEMORY
+        for layers, (parts, spread) in zip(places.pieces, in_threads(gather, items, self.threads), strict=True):
+            for layer, part in zip(layers, parts, strict=True):
+                sums[:, layer.entry] += part
+            if spread is not None:
+                places.noise[:, layers[1].entry] += spread
         self.table.tick()
         before = self.table.counts(slot)
         count = before + places.share
         weight = 1 / np.maximum(count, TINY)
-        mean = (
-            self.table.mean[:, slot] * (before * weight) + sum(total for total, _ in found).astype(np.float32) * weight
-        )
+        mean = self.table.mean[:, slot] * (before * weight) + sums.astype(np.float32) * weight
         self.table.put(slot, mean, np.minimum(count, self.most))
 
     def _sums(self, slot):
@@ -280,12 +289,14 @@ class Cache:
 
     def _measured_trust(self, places, sums):
         noise = (places.noise[0] / np.maximum(places.noise[1], TINY)).astype(np.float32)
-        entries = len(places.slot)
 
         def depart(thin):
-            return departure(*thin, sums, noise, entries)
+            return departure(*thin, sums, noise)
 
-        return Packed(worth(noise, sum(in_threads(depart, places.thin, self.threads)), self.trust[0])[None])
+        total = np.zeros((3, len(places.slot)))
+        for (_, coarse), part in zip(places.thin, in_threads(depart, places.thin, self.threads), strict=True):
+            total[:, coarse.entry] += part
+        return Packed(worth(noise, total, self.trust[0])[None])
 
     def age(self, factor: float = 0.9) -> None:
         """Every count times `factor`: what is known weighs less beside what comes."""

@@ -52,7 +52,7 @@ class OnePointCache:
         points: ImplicitPoints | None = None,
         choice: str = "barycentric",
         cell: float = 2.0,
-        radius: float = 2.0,
+        radius: float = 1.5,
         jitter: float = 1.5,
         ageing: float = 0.9,
         scale: float = 1.0,

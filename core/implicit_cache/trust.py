@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .lattice import Layer, Packed
+from .layers import Layer, Packed
 
 EVERY = 4
 """One in so many samples tells of its surroundings."""
@@ -31,21 +31,22 @@ LITTLE = np.float32(0.05)
 TINY = np.float32(1e-12)
 
 
-def scatter(layer: Layer, sums: Packed, values: np.ndarray, entries: int) -> np.ndarray:
-    """(2, entries) sums over samples of their squared difference from the coarse mean, a mean over channels, and of 1.
+def scatter(coarse: Layer, sums: Packed, values: np.ndarray) -> np.ndarray:
+    """(2, k) sums, by coarse entry, over samples of their squared difference from the coarse mean, a mean over channels,
+    and of 1.
 
-    layer: the coarse one, of some samples. sums: rows of S = mean × count for each channel, and of counts, of all
-    entries. values: (channels, n) float32 of the samples.
+    coarse: of some samples. sums: rows of S = mean × count for each channel, and of counts, of all entries. values:
+    (channels, n) float32 of the samples.
     """
-    *total, count = layer.mixtures(sums)
+    *total, count = coarse.mixtures(sums)
     squared = sum((s / np.maximum(count, TINY) - v) ** 2 for s, v in zip(total, values, strict=True)) / len(values)
     known = (count > 0).astype(np.float32)
-    return np.stack([layer.sums(squared * known, entries), layer.sums(known, entries)])
+    return np.stack([coarse.sums(squared * known), coarse.sums(known)])
 
 
-def departure(fine: Layer, coarse: Layer, sums: Packed, noise: np.ndarray, entries: int) -> np.ndarray:
-    """(3, entries) sums over samples of the squared difference between fine and coarse means, of the part that the fine
-    one's noise explains, and of 1. noise: (entries,) float32 variance σ² of a sample, of coarse entries."""
+def departure(fine: Layer, coarse: Layer, sums: Packed, noise: np.ndarray) -> np.ndarray:
+    """(3, k) sums, by coarse entry, over samples of the squared difference between fine and coarse means, of the part
+    that the fine one's noise explains, and of 1. noise: (entries,) float32 variance σ² of a sample, at coarse entries."""
     *near, count = fine.mixtures(sums)
     *far, there = coarse.mixtures(sums)
     known = ((count > LITTLE) & (there > 0)).astype(np.float32)
@@ -53,7 +54,7 @@ def departure(fine: Layer, coarse: Layer, sums: Packed, noise: np.ndarray, entri
     squared = sum((a / count - b / there) ** 2 for a, b in zip(near, far, strict=True)) / len(near)
     (variance,) = coarse.mixtures(Packed(noise[None]))
     explained = variance / (count * np.float32(GAIN))
-    return np.stack([coarse.sums(term * known, entries) for term in (squared, explained, np.float32(1))])
+    return np.stack([coarse.sums(term * known) for term in (squared, explained, np.float32(1))])
 
 
 def worth(noise: np.ndarray, departures: np.ndarray, usual: float) -> np.ndarray:

@@ -88,9 +88,9 @@ def openness(view: View, bvh: Bvh, reach: float, frame_number: int) -> np.ndarra
     return np.concatenate(in_threads(trace, chunks(len(view.position)))).astype(np.float32)
 
 
-def reference(view: View, bvh: Bvh, reach: float) -> np.ndarray:
-    """(n,) float32 openness by REFERENCE rays a pixel."""
-    lattice = hammersley_points(REFERENCE)
+def reference(view: View, bvh: Bvh, reach: float, rays: int = REFERENCE) -> np.ndarray:
+    """(n,) float32 openness by so many rays a pixel."""
+    lattice = hammersley_points(rays)
     shift = np.stack([hash_uniform(view.pixel, d, 2) for d in (0, 1)], axis=1)
 
     def trace(part):
@@ -98,7 +98,7 @@ def reference(view: View, bvh: Bvh, reach: float) -> np.ndarray:
         for point in lattice:
             moved = shift[part] + point
             total += ~_blocked(view, bvh, part, moved - np.floor(moved), reach)
-        return total / REFERENCE
+        return total / rays
 
     return np.concatenate(in_threads(trace, chunks(len(view.position))))
 
@@ -123,11 +123,16 @@ class Footage:
         return self.frames[number].astype(np.float32)
 
 
+def mark(stage: Stage) -> str:
+    """Another for another stage."""
+    told = repr((stage.eye, stage.target, stage.width, stage.reach)).encode()
+    return hashlib.sha256(stage.corners.tobytes() + told).hexdigest()[:12]
+
+
 def footage(name: str, frames: int = 64) -> Footage:
     """Of a stage; kept in out/bench, since its reference takes a minute."""
     stage = STAGES[name]()
-    mark = hashlib.sha256(stage.corners.tobytes() + repr((stage.eye, stage.target, stage.width, stage.reach)).encode())
-    path = harness.OUT / "implicit" / f"{name}-{WIDTH}x{HEIGHT}-{REFERENCE}-{frames}-{mark.hexdigest()[:12]}.npz"
+    path = harness.OUT / "implicit" / f"{name}-{WIDTH}x{HEIGHT}-{REFERENCE}-{frames}-{mark(stage)}.npz"
     if path.exists():
         with np.load(path) as kept:
             view = View(*(kept[key] for key in View.__dataclass_fields__))

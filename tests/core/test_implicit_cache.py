@@ -90,11 +90,12 @@ def listed(position, normal, object_id, footprint):
     ]
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-@pytest.mark.parametrize("coarse", [None, (8.0, 32.0)])
-@pytest.mark.parametrize(("with_normal", "with_object"), [(True, True), (False, False)])
+@pytest.mark.parametrize(
+    ("channels", "coarse", "with_normal", "with_object"),
+    [(1, None, True, True), (3, (8.0, 32.0), True, False), (1, (8.0, 32.0), False, True)],
+)
 def test_it_does_what_the_slow_one_does(channels, coarse, with_normal, with_object):
-    position, normal, object_id, footprint = some_places(120, 5)
+    position, normal, object_id, footprint = some_places(80, 5)
     normal, object_id = normal if with_normal else None, object_id if with_object else None
     fast = Cache(channels, coarse=coarse, measured=False, slots=1 << 15, most=30)
     slow = SlowCache(channels, fast.sizes, fast.trust, 30)
@@ -103,7 +104,7 @@ def test_it_does_what_the_slow_one_does(channels, coarse, with_normal, with_obje
         # the camera moves by a few cells and over what it saw, nearer and farther
         moved = (position + random.integers(-1, 2, 3) * 0.01).astype(np.float32)
         near = (footprint * 2.0 ** random.integers(-1, 2)).astype(np.float32)
-        values = random.uniform(0, 5, (120, channels)).astype(np.float32)
+        values = random.uniform(0, 5, (80, channels)).astype(np.float32)
         found = fast.frame(moved, normal, object_id, near, values)
         slow.add(listed(moved, normal, object_id, near), values)
         assert np.allclose(found, slow.read(listed(moved, normal, object_id, near)), rtol=2e-3, atol=2e-3)
@@ -141,7 +142,7 @@ def test_the_same_seed_gives_the_same_and_another_seed_the_same_but_for_the_last
     assert all(np.allclose(a, b, atol=1e-3) for a, b in zip(first, other, strict=True))
 
 
-def patch(side=60, spacing=0.002, shift=0.0):
+def patch(side=48, spacing=0.002, shift=0.0):
     """A tilted floor as a camera sees it, by rows: positions and normals (side², 3)."""
     y, x = np.mgrid[:side, :side].astype(np.float32).reshape(2, -1) * np.float32(spacing)
     position = np.stack([x + np.float32(shift), y, 0.2 * x + 0.1 * y], axis=1)
@@ -170,12 +171,12 @@ def test_noise_goes_with_the_frames_and_no_bias_stays():
     cache = Cache(slots=1 << 16)
     places = cache.look_up(position, normal, None, 0.002)
     errors = []
-    for k in range(256):
+    for k in range(64):
         cache.add(places, (random.random(len(truth)) < truth).astype(np.float32))
-        if k + 1 in (4, 16, 64, 256):
+        if k + 1 in (4, 16, 64):
             errors.append(float(np.sqrt(((cache.read(places)[:, 0] - truth) ** 2).mean())))
-    # of one pixel alone it would be 0.42 / √frames: 0.21, 0.10, 0.05, 0.026
-    assert errors[0] < 0.09 and errors[1] < 0.06 and errors[2] < 0.03 and errors[3] < 0.016
+    # of one pixel alone it would be 0.42 / √frames: 0.21, 0.10, 0.05
+    assert errors[0] < 0.09 and errors[1] < 0.06 and errors[2] < 0.03
     assert abs(cache.read(places).mean() - truth.mean()) < 0.005
 
 
@@ -226,24 +227,24 @@ def settled(value, frames=30):
 
 
 def test_what_changed_is_followed_after_dropping_counts():
-    cache, places = settled(1.0, 200)
+    cache, places = settled(1.0, 60)
     cache.drop()
     shown = []
     for _ in range(20):
         cache.add(places, np.zeros(places.count))
         shown.append(1 - float(cache.read(places).mean()))
     assert shown[0] > 0.5 and shown[9] > 0.8 and shown[15] > 0.88
-    slow, places = settled(1.0, 200)
+    slow, places = settled(1.0, 60)
     for _ in range(10):
         slow.add(places, np.zeros(places.count))
-    assert slow.read(places).mean() > 0.9
+    assert slow.read(places).mean() > 0.8
 
 
 def test_a_limit_of_counts_forgets_by_itself():
     position, normal = patch()
     cache = Cache(slots=1 << 16, most=8.0)
-    for k in range(60):
-        found = cache.frame(position, normal, None, 0.002, np.full(len(position), k >= 44, np.float32))
+    for k in range(36):
+        found = cache.frame(position, normal, None, 0.002, np.full(len(position), k >= 20, np.float32))
     assert found.mean() > 0.9
 
 
@@ -281,15 +282,15 @@ def test_no_places_at_all():
 
 def test_values_of_another_shape_are_refused():
     cache, places = settled(0.5)
-    with pytest.raises(ValueError, match="3600 places take 1"):
-        cache.add(places, np.zeros((3600, 3)))
+    with pytest.raises(ValueError, match="2304 places take 1"):
+        cache.add(places, np.zeros((2304, 3)))
     with pytest.raises(ValueError, match="grow"):
         Cache(coarse=(1.0,))
     with pytest.raises(ValueError, match="trust"):
         Cache(coarse=(8.0, 16.0, 32.0))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 1e-3))
 def test_bins_of_normals(direction):
     normal = (np.array(direction) / np.linalg.norm(direction)).astype(np.float32)[:, None]

@@ -20,7 +20,7 @@ def plain_pcg(value: int) -> int:
 
 
 @given(st.lists(st.integers(0, 2**32 - 1), min_size=3, max_size=3))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 def test_the_nested_hash(words):
     x, y, z = (np.array([w], np.uint32) for w in words)
     found = nest(x, nest(y, nest(z)))
@@ -29,7 +29,7 @@ def test_the_nested_hash(words):
 
 
 @given(st.integers(-(2**20), 2**20), st.integers(0, 9))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_a_word_is_sign_integer_and_fraction(voxel, level):
     levels = 10
     word = int(voxel_words(np.array([voxel >> 9 - level]), level, levels)[0])
@@ -70,7 +70,7 @@ def listed(points, place, level, reach=1):
 @pytest.mark.parametrize("shared", [False, True])
 def test_every_octant_holds_one_point_wherever_it_is_asked_for(bits, shared):
     points = ImplicitPoints(coarsest=4.0, levels=8, neighbourhood=26, bits=bits, shared=shared)
-    place = everywhere(300)
+    place = everywhere(100)
     keys, at = listed(points, place, 4)
     assert keys.shape[0] == 216
     octant = np.floor(at / points.octant_size(4)).reshape(3, -1).astype(int)
@@ -94,8 +94,8 @@ def test_neighbourhoods(neighbourhood, count):
 
 
 def test_27_octants_hold_the_three_nearest_of_216_points():
-    place = everywhere(20_000)
-    level, surface = np.full(20_000, 5), np.zeros(20_000, np.uint32)
+    place = everywhere(8000)
+    level, surface = np.full(8000, 5), np.zeros(8000, np.uint32)
     all_keys, squared = three_nearest(ImplicitPoints(4.0, neighbourhood=26).candidates(place, level, surface))
     keys, _ = three_nearest(ImplicitPoints(4.0).candidates(place, level, surface))
     assert (np.diff(squared, axis=0) >= 0).all()
@@ -144,7 +144,7 @@ def test_a_point_stays_when_its_voxel_is_divided():
 
 
 @given(st.lists(st.floats(0, 10), min_size=3, max_size=3))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_areas_are_barycentric(distances):
     a, b, c = np.float32(distances)
     weights = areas(np.float32(distances)[:, None])[:, 0]

@@ -23,7 +23,7 @@ def fill(table: Table, numbers) -> np.ndarray:
     return slot
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.lists(st.lists(st.integers(0, 60), min_size=1, max_size=20, unique=True), min_size=1, max_size=12))
 def test_it_holds_what_a_dictionary_holds(rounds):
     # never more than the table has room for, so nothing is forgotten
@@ -42,7 +42,7 @@ def test_it_holds_what_a_dictionary_holds(rounds):
         assert (table.find(keys_of(range(1000, 1040))) == table.nowhere).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     st.lists(st.tuples(st.integers(0, 7), st.integers(2, 2**32 - 1)), max_size=20, unique_by=lambda k: k[1]),
     st.integers(1, 20),
@@ -142,7 +142,7 @@ def test_the_clock_does_not_make_old_entries_young():
 
 
 @given(st.lists(st.floats(0, 2 * MOST), min_size=1, max_size=20), st.floats(0, 50), st.floats(0, 1))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_counts_round_to_their_unit(counts, most, factor):
     table = Table(1, 64)
     slot = fill(table, range(len(counts)))
