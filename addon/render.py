@@ -11,10 +11,10 @@ import numpy as np
 from bpy.app.handlers import persistent
 from gpu_extras.presets import draw_texture_2d
 
-from ..core.preview import Preview, Settings, background
+from ..core.preview import Preview, background
 from ..core.rays import EngineError
 from ..core.scene import SceneError
-from . import engine, handlers, prepared, relight, shown, textures, view
+from . import engine, handlers, prepared, relight, shown, textures, view, viewport
 
 ENGINE = "LIGHTPANES"
 
@@ -31,31 +31,11 @@ PASSES = {
 SHOW_EVERY = 1.0
 """Seconds between the images that a render shows while it goes on."""
 
-FRAME = 0.15
-"""Seconds that a viewport's frame may take: more than five a second with what else there is to do."""
-
-COARSEST = 8
-"""A viewport's pixel is at most so many of the screen's wide."""
-
 
 def passes_of(layer: bpy.types.ViewLayer) -> dict[str, str]:
     """The passes that a view layer asks for, beside Combined, and their names in Blender."""
     new = bpy.app.version >= (5, 0)
     return {name: long if new else short for name, (flag, long, short, *_) in PASSES.items() if getattr(layer, flag)}
-
-
-def settings_of(scene: bpy.types.Scene, **more) -> Settings:
-    """The preview's settings for a scene."""
-    mine = scene.lightpanes
-    world = scene.world
-    return Settings(
-        bounces=mine.bounces,
-        filter_width=scene.render.filter_size,
-        ao_distance=world.light_settings.distance if world is not None else 10.0,
-        transparent=scene.render.film_transparent,
-        seed=mine.seed,
-        **more,
-    )
 
 
 def cancelled(running: bpy.types.RenderEngine) -> bool:
@@ -111,7 +91,7 @@ class LIGHTPANES_render_engine(bpy.types.RenderEngine):
             if surfaces is None:
                 _write(result, "Combined", background(eye, lighting.sky, scene.render.film_transparent))
             else:
-                settings = settings_of(scene, places=max(1, scene.lightpanes.samples), split=bool(names))
+                settings = shown.settings_of(scene, places=max(1, scene.lightpanes.samples), split=bool(names))
                 preview = Preview(surfaces, eye, lighting.lights, lighting.sky, settings, lighting.baked)
                 self._sample(preview, result, names, scene.lightpanes.samples)
         finally:
@@ -137,14 +117,14 @@ class LIGHTPANES_render_engine(bpy.types.RenderEngine):
     # ---- viewports ----
 
     def view_update(self, context, depsgraph):
-        state = _state(self)
+        state = viewport.of(self)
         if engine.unusable():
             return
         state.read(depsgraph)
         _prepare_soon()
 
     def view_draw(self, context, depsgraph):
-        state, region = _state(self), context.region
+        state, region = viewport.of(self), context.region
         if reason := engine.unusable():
             self.update_stats("Lightpanes", reason)
             return
@@ -159,106 +139,6 @@ class LIGHTPANES_render_engine(bpy.types.RenderEngine):
             gpu.state.blend_set("NONE")
         if again:
             self.tag_redraw()
-
-
-class _Viewport:
-    """What one viewport shows, and how far it has got."""
-
-    def __init__(self):
-        self.surfaces = self.lighting = self.preview = self.texture = None
-        self.message = ""
-        self.coarseness, self.eye = 1, b""
-        self._read = False
-        self._asked = ()
-
-    def read(self, depsgraph) -> None:
-        """Take up what changed."""
-        surfaces, lighting = not self._read or _changes_surfaces(depsgraph), None
-        warnings: list[str] = []
-        try:
-            if surfaces:
-                self.surfaces, self.preview = shown.read_surfaces(depsgraph, warnings), None
-            lighting = shown.read_lighting(depsgraph, warnings)
-        except (SceneError, EngineError) as error:
-            self.message, self.surfaces, self.preview = str(error), None, None
-            self._read = True
-            return
-        self.message = ""
-        if self.preview is not None and (self.lighting is None or lighting.key != self.lighting.key):
-            self.preview.light(lighting.lights, lighting.sky, lighting.baked)
-        self.lighting, self._read = lighting, True
-
-    def advance(self, depsgraph, region_data, width, height, pixels) -> bool:
-        """Trace one more frame where one is due, and keep the image as a texture; whether more are to come."""
-        if not self._read:
-            self.read(depsgraph)
-        if self.lighting is None:
-            return False
-        scene = depsgraph.scene
-        settings = settings_of(scene, split=False)
-        moved = (np.array(region_data.perspective_matrix).tobytes(), width, height, pixels)
-        if self.preview is not None and settings != self.preview.settings:
-            self.preview = None
-        size = (-(-width // (pixels * self.coarseness)), -(-height // (pixels * self.coarseness)))
-        eye = view.through_region(region_data, *size)
-        if self.surfaces is None:
-            self._show(background(eye, self.lighting.sky, settings.transparent))
-            return False
-        if self.preview is None:
-            lighting = self.lighting
-            self.preview = Preview(self.surfaces, eye, lighting.lights, lighting.sky, settings, lighting.baked)
-        elif moved != self.eye or size != self.preview.camera.size:
-            self.preview.look(eye)
-        self.eye = moved
-        if self.preview.frames >= scene.lightpanes.viewport_samples:
-            return False
-        started = time.perf_counter()
-        self.preview.frame()
-        self._show(self.preview.image())
-        self._pace(time.perf_counter() - started)
-        self.message = f"Sample {self.preview.frames}/{scene.lightpanes.viewport_samples}"
-        return True
-
-    def _pace(self, seconds) -> None:
-        """Take larger pixels where a frame takes long, smaller ones where it is quick."""
-        if seconds > FRAME and self.coarseness < COARSEST:
-            self.coarseness = min(COARSEST, self.coarseness + (2 if seconds > 3 * FRAME else 1))
-        elif self.coarseness > 1 and self.preview.frames >= 3:
-            finer = self.coarseness - 1
-            if seconds * (self.coarseness / finer) ** 2 < 0.7 * FRAME:
-                self.coarseness = finer
-
-    def _show(self, image) -> None:
-        height, width = image.shape[:2]
-        data = gpu.types.Buffer("FLOAT", image.size, np.ascontiguousarray(image, np.float32).ravel())
-        self.texture = gpu.types.GPUTexture((width, height), format="RGBA16F", data=data)
-
-
-_viewports: dict[int, _Viewport] = {}
-
-
-def _state(owner) -> _Viewport:
-    """A viewport's state; kept beside the engine, which Blender makes and frees."""
-    key = owner.as_pointer()
-    if key not in _viewports:
-        _viewports[key] = _Viewport()
-    return _viewports[key]
-
-
-def _changes_surfaces(depsgraph) -> bool:
-    """Whether what changed can change a surface; lamps, cameras and the world change none."""
-    for change in depsgraph.updates:
-        item = change.id
-        if isinstance(item, bpy.types.Object):
-            if item.type not in {"LIGHT", "CAMERA", "SPEAKER", "LIGHT_PROBE"} and (
-                change.is_updated_transform or change.is_updated_geometry or change.is_updated_shading
-            ):
-                return True
-        elif isinstance(
-            item, bpy.types.Mesh | bpy.types.Curve | bpy.types.Material | bpy.types.Image | bpy.types.Collection
-        ):
-            return True
-    return False
 
 
 def _write(result, name, image) -> None:
@@ -281,8 +161,7 @@ def _prepare_later():
         return
     if _can_prepare() and prepared.missing(scene):
         _prepare(scene)
-        for item in _viewports.values():
-            item._read = False
+        viewport.forget_surfaces()
         scene.update_tag()
 
 
@@ -317,7 +196,7 @@ def _on_update(scene, _depsgraph):
 
 @persistent
 def _on_load(*_):
-    _viewports.clear()
+    viewport.clear()
     prepared.forget()
     textures.forget()
 

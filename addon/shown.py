@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ..core.preview import Baked, Surfaces
+from ..core.preview import Baked, Settings, Surfaces
 from ..core.scene import Light, Sky
 from . import extract, lamps, prepared, relight, store, textures
 
@@ -78,3 +78,17 @@ def read_bake(scene: bpy.types.Scene) -> tuple[Baked | None, str]:
     ]
     current = relight.session(scene)
     return Baked(*images), repr((current.key, current.shown))
+
+
+def settings_of(scene: bpy.types.Scene, **more) -> Settings:
+    """The preview's settings for a scene."""
+    mine = scene.lightpanes
+    world = scene.world
+    return Settings(
+        bounces=mine.bounces,
+        filter_width=scene.render.filter_size,
+        ao_distance=world.light_settings.distance if world is not None else 10.0,
+        transparent=scene.render.film_transparent,
+        seed=mine.seed,
+        **more,
+    )

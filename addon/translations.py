@@ -108,6 +108,14 @@ GERMAN = {
         "Photonen jeder Lampe, aus denen Kaustiken gemacht werden. 0: so viele, wie der Fehler verlangt",
     "Caustics Of": "Kaustiken von",
     "Last Caustics": "Letzte Kaustiken",
+    "Sampling": "Sampling",
+    "Frames of one sample a pixel that a render with the engine Lightpanes adds up":
+        "Bilder mit einem Sample je Pixel, die ein Rendering mit der Engine Lightpanes mittelt",
+    "Viewport": "Ansicht",
+    "Frames that a viewport adds up before it rests": "Bilder, die eine Ansicht mittelt, bevor sie ruht",
+    "Bounces": "Reflexionen",
+    "Diffuse bounces of indirect light where no bake knows it, at most":
+        "Diffuse Reflexionen des indirekten Lichts, wo es nicht gebacken ist, höchstens",
     "Seed": "Seed",
     "The same seed gives the same bake": "Derselbe Seed ergibt dasselbe Ergebnis",
     "Show in Cycles": "In Cycles zeigen",

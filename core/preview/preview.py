@@ -40,7 +40,12 @@ COARSE = 24.0
 KEPT_BYTES = 400e6
 """Of views that are kept for a camera at rest."""
 
+TILE = 4
+"""Pixels along each side of a tile whose samples are spread together."""
+
 _F = np.float32
+# In which order the pixels of a tile take their turns: neighbours far apart (Bayer's matrix)
+_ORDER = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])
 # Kronecker sequences, one a dimension: bounces, places on lamps, which lamp
 _STEPS = (PLASTIC, (2**0.5 - 1, 3**0.5 - 1), (5**0.5 - 2, 7**0.5 - 2))
 
@@ -220,15 +225,18 @@ class Preview:
         return view
 
     def _numbers(self, view: _View, dimension: int) -> np.ndarray:
-        """(2, m) in [0, 1), well spread over the frames of a pixel; pixels differ by hashes."""
+        """(2, m) in [0, 1): the pixels of a tile, frame after frame, go through one sequence together, so that what they
+        share is sampled evenly; tiles differ by hashes."""
+        step = np.array(_STEPS[dimension])[:, None]
         if dimension not in view.shifts:
-            pixel = view.buffer.rows.astype(np.uint32)
-            view.shifts[dimension] = np.stack(
-                [hash_uniform(pixel, 50 + 2 * dimension + k, self.settings.seed) for k in (0, 1)]
-            )
+            row, column = np.divmod(view.buffer.rows, self.camera.size[0])
+            tile = (row // TILE * 65536 + column // TILE).astype(np.uint32)
+            turn = _ORDER[row % TILE * TILE + column % TILE]
+            shift = [hash_uniform(tile, 50 + 2 * dimension + k, self.settings.seed) for k in (0, 1)]
+            view.shifts[dimension] = ((np.stack(shift) + turn * step) % 1).astype(np.float32)
         # float64: the product's fraction is what counts
-        turn = np.array(_STEPS[dimension]) * self._drawn % 1
-        numbers = view.shifts[dimension] + turn[:, None].astype(np.float32)
+        turn = self._drawn * TILE * TILE * step % 1
+        numbers = view.shifts[dimension] + turn.astype(np.float32)
         numbers -= np.floor(numbers)
         return np.minimum(numbers, _F(1 - 2**-24), out=numbers)
 
@@ -257,6 +265,8 @@ class Preview:
             first, indirect = view.baked
             shown = np.concatenate(view.baked, axis=1) if self.settings.split else first + indirect
             made[view.known, : shown.shape[1]] = shown
+            if self.settings.split:
+                made[view.known, -1] = self._occlusion(view)
         if len(rest):
             position, normal, owner = part(buffer.position), part(buffer.normal), part(buffer.object_id)
             pixel, numbers = part(buffer.rows), self._numbers(view, 0)
@@ -280,6 +290,21 @@ class Preview:
                 made[rest] = read
         ends = np.cumsum(list(self._channels.values()))[:-1]
         return dict(zip(self._channels, np.split(made, ends, axis=1), strict=True))
+
+    def _occlusion(self, view: _View) -> np.ndarray:
+        """(k,) 1 where a ray from a place whose light a bake knows meets nothing, one sample each."""
+        buffer, tracer = view.buffer, self.surfaces.tracer
+        u = self._numbers(view, 0)
+
+        def part(piece):
+            rows = view.known[piece]
+            normal = buffer.normal[rows]
+            ways = self.surfaces.scatter(normal, buffer.flat[rows], u[:, rows])
+            free = tracer.visibility(buffer.position[rows], ways * _F(self.settings.ao_distance))
+            return free if free.ndim == 1 else free.mean(axis=1)
+
+        parts = in_threads(part, chunks(len(view.known), CHUNK))
+        return np.concatenate(parts) if parts else np.zeros(0, np.float32)
 
 
 def _spread(values: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:

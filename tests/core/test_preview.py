@@ -241,6 +241,7 @@ def test_a_bake_is_read_where_there_is_one():
     preview.frame()
     assert preview.image()[..., :3] == pytest.approx(0.5 * 4, rel=1e-4)
     assert preview.image("Diffuse Indirect") == pytest.approx(1.0, rel=1e-4)
+    assert (preview.image("AO") == 1).all()
 
 
 def test_transparent_film_and_nothing_at_all():
