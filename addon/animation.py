@@ -11,7 +11,7 @@ from bpy.props import BoolProperty, IntProperty, StringProperty
 
 from ..core.bake import BakeError, Progress
 from ..core.scene import SceneError
-from . import job, relight, saving, sequence, waiting
+from . import job, live_image, saving, sequence, waiting
 from .console import ConsoleProgress
 
 SLICE = 0.1
@@ -132,7 +132,7 @@ class LIGHTPANES_OT_bake_animation(bpy.types.Operator):
         context.window_manager.event_timer_remove(self._timer)
         self._tell.__exit__()
         context.workspace.status_text_set(None)
-        relight.redraw_panel()
+        live_image.redraw()
 
     def _asked(self, context) -> tuple[Path, range]:
         given = [
@@ -146,7 +146,7 @@ class LIGHTPANES_OT_bake_animation(bpy.types.Operator):
         _fraction = step.fraction
         self._tell(step)
         context.workspace.status_text_set(f"Writing the baked light: {100 * step.fraction:.0f} %   Esc: stop")
-        relight.redraw_panel()
+        live_image.redraw()
 
     def _done(self, manifest: dict):
         for warning in manifest["warnings"]:

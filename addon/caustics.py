@@ -213,10 +213,13 @@ def ask_of(scene: bpy.types.Scene, surfaces: Scene) -> Asked | None:
     return ask(scene, surfaces.lights, ())
 
 
-def trace(panes: Panes, surfaces: Scene, asked: Asked) -> Traced:
-    """Work them out, so that a window need not wait. Nothing of Blender is read."""
+def trace(panes: Panes, surfaces: Scene, asked: Asked, tell: Callable[[float], object]) -> Traced:
+    """Work them out, so that a window need not wait. Nothing of Blender is read. tell: called with the part that is done;
+    an exception that it raises ends the work."""
     traced = Traced(panes, surfaces)
-    traced.atlas.image(asked.lights, asked.photons)
+    tell(0.0)
+    for step in traced.atlas.refine(asked.lights, asked.photons):
+        tell(step.done)
     return traced
 
 

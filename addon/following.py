@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
-from . import caustics, direct, extract, handlers, meshes, overlay, relight, store, waiting
+from . import caustics, direct, extract, handlers, live_image, meshes, overlay, relight, store, waiting
 
 STALE_DELAY = 0.5
 """Seconds after the last edit of a mesh at which the bake is checked against it."""
@@ -71,7 +71,7 @@ def _update_later():
         return  # the render's own frame changes relight
     depsgraph = bpy.context.evaluated_depsgraph_get()
     relight.update(depsgraph.scene.original, depsgraph, at_once=False)
-    relight.redraw_panel()
+    live_image.redraw()
     overlay.redraw()
 
 

@@ -6,7 +6,7 @@ import bpy
 
 from ..core.bake import BakeError
 from ..core.scene import SceneError
-from . import animation, baking, engine, job, relight, waiting
+from . import animation, baking, engine, job, live_image, relight, waiting
 from .console import ConsoleProgress
 
 # Seconds between two looks at a bake that runs.
@@ -95,13 +95,13 @@ class LIGHTPANES_OT_bake(bpy.types.Operator):
         self.shown = self.job.says
         if context.workspace is not None:
             context.workspace.status_text_set(f"Lightpanes: {self.shown}    Esc: Cancel")
-        relight.redraw_panel()
+        live_image.redraw()
 
     def _leave(self, context):
         context.window_manager.event_timer_remove(self.timer)
         if context.workspace is not None:
             context.workspace.status_text_set(None)
-        relight.redraw_panel()
+        live_image.redraw()
 
 
 class LIGHTPANES_OT_cancel(bpy.types.Operator):

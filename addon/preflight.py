@@ -13,7 +13,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..core.scene import SceneError
-from . import foreign, handlers, obstacles, relight, store, twice
+from . import foreign, handlers, live_image, obstacles, store, twice
 from .forecast import Forecast, predict
 from .obstacles import ERROR, Facts, Obstacle
 
@@ -136,8 +136,8 @@ def _key(context) -> tuple:
 
 
 def _redraw_later(seconds: float) -> None:
-    if not bpy.app.background and not bpy.app.timers.is_registered(relight.redraw_panel):
-        bpy.app.timers.register(relight.redraw_panel, first_interval=seconds)
+    if not bpy.app.background and not bpy.app.timers.is_registered(live_image.redraw):
+        bpy.app.timers.register(live_image.redraw, first_interval=seconds)
 
 
 @persistent
@@ -165,6 +165,6 @@ def register() -> None:
 
 def unregister() -> None:
     handlers.remove(HANDLERS)
-    if bpy.app.timers.is_registered(relight.redraw_panel):
-        bpy.app.timers.unregister(relight.redraw_panel)
+    if bpy.app.timers.is_registered(live_image.redraw):
+        bpy.app.timers.unregister(live_image.redraw)
     forget()

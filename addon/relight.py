@@ -44,6 +44,7 @@ class Session:
 
     key: str
     relighter: Relighter | None = None
+    focuses: bool = True  # whether it lets what casts caustics block the lamps
     edited: bool = False  # its shadows are those of surfaces that differ from what was baked
     shown: str = ""  # key of the lamps that the image shows
     landed: int = 0  # key of the caustics whose bounces it shows
@@ -91,7 +92,9 @@ def _begin(scene, key, **more) -> Session:
     meta = store.read_meta(scene) or {}
     panes = "panes" not in meta.get("report", {}).get("skipped", {})
     baked_in = tuple(lamps.from_json(values) for values in meta.get("static_lamps", ()))
-    return Session(key, static=meta.get("static", {}), baked_in=baked_in, panes=panes, **more)
+    # what is shown was made with caustics where these are there, whatever the setting has become
+    focuses = scene.lightpanes.caustics or caustics.is_shown(scene)
+    return Session(key, focuses=focuses, static=meta.get("static", {}), baked_in=baked_in, panes=panes, **more)
 
 
 def forget(scene: bpy.types.Scene) -> None:
@@ -342,14 +345,20 @@ def switch_caustics(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
     if current is None:
         return
     with _lock:
-        # glass blocks lamps where caustics are on
-        current.relighter, current.read, current.shown = None, None, ""
-        direct.forget_surfaces(scene)
-        if not scene.lightpanes.caustics:
-            caustics.end(scene)
+        _switch_caustics(scene, current)
     if scene == context.scene and scene.lightpanes.live:
         update(scene, context.evaluated_depsgraph_get())
-    redraw_panel()
+    live_image.redraw()
+
+
+def _switch_caustics(scene, current: Session) -> None:
+    if current.focuses != scene.lightpanes.caustics:
+        # glass blocks lamps where caustics are on
+        current.focuses = scene.lightpanes.caustics
+        current.relighter, current.read, current.shown = None, None, ""
+        direct.forget_surfaces(scene)
+    if not scene.lightpanes.caustics:
+        caustics.end(scene)
 
 
 def switch_direct(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
@@ -368,7 +377,7 @@ def switch_direct(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
             except (SceneError, BakeError) as error:
                 current.error = str(error)
                 print(f"Lightpanes: {error}")
-    redraw_panel()
+    live_image.redraw()
 
 
 def surfaces_of(context: bpy.types.Context, current: Session) -> tuple[Panes, Scene, Tracer]:
@@ -430,14 +439,6 @@ def relighter_of(context: bpy.types.Context, current: Session) -> Relighter:
     return current.relighter
 
 
-def redraw_panel() -> None:
-    """Draw all Properties editors anew."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "PROPERTIES":
-                area.tag_redraw()
-
-
 def prepare_render(scene: bpy.types.Scene) -> None:
     """Show what a render is to show: lamps that the viewport may hide, and direct light in full."""
     if direct.is_baked(scene):
@@ -472,8 +473,8 @@ def undone(scene: bpy.types.Scene) -> None:
     live_image.undone()
     if session(scene) is not None and not direct.is_baked(scene):
         direct.end(scene)
-    if session(scene) is not None and not scene.lightpanes.caustics:
-        caustics.end(scene)
+    if (current := session(scene)) is not None:
+        _switch_caustics(scene, current)
     update(scene, bpy.context.evaluated_depsgraph_get())
 
 

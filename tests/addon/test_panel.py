@@ -20,7 +20,7 @@ def test_before_a_bake(room):
     for cls in (panel.LIGHTPANES_PT_results, panel.LIGHTPANES_PT_debug):
         assert draw(cls) is None
     assert texts(draw(panel.LIGHTPANES_PT_quality), "prop") == ["error_target", "time_budget", "resolution"]
-    assert texts(draw(panel.LIGHTPANES_PT_advanced), "prop") == ["exits", "seed"]
+    assert texts(draw(panel.LIGHTPANES_PT_advanced), "prop") == ["exits", "photons", "seed"]
 
 
 def test_obstacles_have_their_buttons(room):
@@ -131,7 +131,7 @@ def test_objects_and_lamps(room):
     assert texts(shown, "prop") == ["live", "group", "samples"]
     assert draw(panel.LIGHTPANES_PT_light, Context(light=None)) is None
     bpy.context.view_layer.objects.active = block
-    assert texts(draw(panel.LIGHTPANES_PT_output), "prop") == ["target", "direct", "storage"]
+    assert texts(draw(panel.LIGHTPANES_PT_output), "prop") == ["target", "direct", "caustics", "storage"]
 
 
 def test_no_lamps(room):
