@@ -9,7 +9,8 @@ import numpy as np
 
 from ..scene import Light, Scene, SceneError
 from .casters import casters
-from .lamp import Energy, LampCaustics, Landings
+from .lamp import Energy, LampCaustics
+from .landings import Landings
 from .receivers import Receivers
 from .surfaces import Surfaces
 

@@ -7,12 +7,15 @@ it is the object's cross-section. A soft lamp is a set of points, each with a sq
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..sampling import concentric_disk, frame, hammersley_points, spiral
+from ..sampling import concentric_disk, frame, hammersley_points, hash_uniform, spiral
 from ..scene import Light
+
+SHIFT = 0.15
+"""Part of a soft lamp's squares by which they are larger than they need be."""
 
 MARGIN = 0.01
 """Of the square around an object, so that rounding and bent edges cut nothing off."""
@@ -57,6 +60,11 @@ class Emitter:
             origin = origin + _on_disk(self.axes, self.lens, direction)
         power = np.where(square < 4, size, 0.0) * intensity(self.light, direction)
         return origin.astype(np.float32), direction.astype(np.float32), power.astype(np.float32)
+
+    def shifted(self, index: int, seed: int) -> Emitter:
+        """The same light from a square that is a little larger and, by a hash of the index, moved: so is its grid."""
+        move = np.array([hash_uniform(np.array([index]), axis, seed)[0] for axis in (301, 302)], np.float64)
+        return replace(self, low=self.low - SHIFT * self.span * move, span=self.span * (1 + SHIFT))
 
     def emitted(self, detail: int = 64) -> float:
         """W that go out into the square at unit power, by midpoints."""

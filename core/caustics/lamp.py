@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from ..scene import Light
 from .deposit import deposit
 from .emission import Emitter, emitters, is_soft
 from .families import families, followed
+from .landings import Landings, landings_of, none
 from .quadtree import Forest, Photons
 from .receivers import Receivers
 from .splat import SAMPLES
@@ -31,6 +32,9 @@ SOFT = 16
 
 NEW = 10
 """New photons of a refined patch, about; it has sixteen, some of them its neighbours' too."""
+
+FEWER = 4
+"""Points of a soft lamp for one from which weaker families start."""
 
 WHOLE = 200_000
 """Photons up to which a lamp's patches are kept together; more are traced part by part."""
@@ -60,19 +64,6 @@ class Energy:
     escaped: float
     missed: float
     untraced: float
-
-
-@dataclass(frozen=True)
-class Landings:
-    """Where light that casters sent on first met a surface that scatters it, with or without a place in the atlas.
-
-    position: (n, 3) float32, m. normal: (n, 3) float32 unit geometric normal on the side that it met. power: (n, 3)
-    float32 W that each stands for, at the lamp's unit power.
-    """
-
-    position: np.ndarray
-    normal: np.ndarray
-    power: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -180,7 +171,7 @@ class LampCaustics:
             self._power = np.zeros((self._receivers.resolution**2, self._surfaces.channels))
             if self._trees:
                 rows = np.arange(len(self._forest))
-                samples = SAMPLES if self.done else SAMPLES / 4
+                samples = SAMPLES if self.done else SAMPLES / 8
                 self._power = deposit(self._forest, rows, self._receivers, samples, self._threads)
         return self._power
 
@@ -201,14 +192,7 @@ class LampCaustics:
         return Energy(emitted, landed, absorbed, escaped, missed, untraced)
 
     def landings(self) -> Landings:
-        if not self._trees:
-            none = np.zeros((0, 3), np.float32)
-            return Landings(none, none, none)
-        photons = self._forest.photons
-        power = photons.power * self._forest.weights()[:, None].astype(np.float32)
-        rows = np.flatnonzero(power.max(axis=1) > 0)
-        power = np.broadcast_to(power[rows], (len(rows), 3)).copy()
-        return Landings(photons.rest[rows, :3], photons.rest[rows, 3:6], power)
+        return landings_of(self._forest) if self._trees else none()
 
     def _plant(self, points: int, photons: float) -> None:
         """Trees for so many points of the lamp, on grids with about so many photons in all."""
@@ -217,15 +201,20 @@ class LampCaustics:
         for caster in surfaces.casters:
             places = surfaces.bounding(caster, self.light)
             squares = emitters(self.light, places, points, self._seed, surfaces.extent)
+            if len(squares) > 1:
+                # grids of different points must not fall onto one another, or their coarseness shows
+                squares = [square.shifted(k, self._seed) for k, square in enumerate(squares)]
             if not squares:
                 continue
             chosen = families(surfaces, squares[len(squares) // 2], int(caster), self._seed)
             unfollowed = followed(chosen)
-            self._trees += [
-                Tree(square, int(caster), int(family), unfollowed[k])
-                for k, family in enumerate(chosen)
-                for square in squares
-            ]
+            for k, family in enumerate(chosen):
+                # the weaker ways from a quarter of the points, each of which gets as many photons more
+                step = FEWER if family and len(squares) >= 4 * FEWER else 1
+                self._trees += [
+                    Tree(replace(square, share=square.share * step), int(caster), int(family), unfollowed[k])
+                    for square in squares[step // 2 :: step]
+                ]
         self._power = None
         if not self._trees:
             self._forest = None
@@ -242,7 +231,7 @@ class LampCaustics:
     def _refine_worst(self, forest: Forest, photons: float) -> bool:
         """Refine the patches with the highest scores by about so many photons; False where there is nothing to do."""
         scores = forest.scores()
-        rows = np.argsort(-scores, kind="stable")[: int(photons / NEW)]
+        rows = np.argsort(-scores, kind="stable")[: max(0, int(photons / NEW))]
         rows = rows[scores[rows] > 0]
         if not len(rows):
             return False

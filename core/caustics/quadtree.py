@@ -35,8 +35,9 @@ FLOOR = 4.0
 ENOUGH = 0.02
 """Texels of error below which a patch is left as it is."""
 
-_SIMPSON = np.outer((1, 4, 1), (1, 4, 1)).reshape(9) / 36
-_CELLS = np.outer((1, 2, 1), (1, 2, 1)).reshape(9) / 16
+# parts of a patch that its photons stand for: of a smooth one, and of one whose photons differ
+SIMPSON = np.outer((1, 4, 1), (1, 4, 1)).reshape(9) / 36
+CELLS = np.outer((1, 2, 1), (1, 2, 1)).reshape(9) / 16
 
 # the 3 × 3 of each child among its parent's 5 × 5
 _CHILD = np.array([[(a + i) * 5 + b + j for i in range(3) for j in range(3)] for a in (0, 2) for b in (0, 2)], np.int64)
@@ -199,7 +200,7 @@ class Forest:
     def weights(self) -> np.ndarray:
         """(n,) float64: the part of its square that each photon stands for; all of a tree sum up to 1."""
         beams, _ = self.kinds()
-        share = np.where(beams[:, None], _SIMPSON, _CELLS) * self.measure[:, None]
+        share = np.where(beams[:, None], SIMPSON, CELLS) * self.measure[:, None]
         return np.bincount(self.corner.ravel(), share.ravel(), len(self.photons))
 
     def part(self, rows: np.ndarray) -> Forest:

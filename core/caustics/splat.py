@@ -10,9 +10,9 @@ from ..sampling import GOLDEN
 from ..threads import in_threads
 
 SAMPLES = 8.0
-"""Sub-samples of all patches together for each texel of the atlas, about, where they cover it once."""
+"""Sub-samples for each texel of the atlas, about, that all patches together get on top of the fewest that they need."""
 
-FEWEST, MOST = 1.0, 8.0
+FEWEST, MOST = 1.0, 16.0
 """Sub-samples of a patch for each texel of its length, a side."""
 
 ROUGH = 0.5
@@ -68,7 +68,7 @@ def _shares(place, extent, size):
 
 
 @cache
-def _biquadratic(across: int, along: int) -> np.ndarray:
+def biquadratic(across: int, along: int) -> np.ndarray:
     """(across · along, 9) float32 weights of a patch's 3 × 3 vertices at the middles of its sub-samples."""
 
     def line(count):
@@ -145,7 +145,7 @@ def splat(
 
 
 def counts(lengths, power: np.ndarray, rough: np.ndarray, budget: float) -> tuple[np.ndarray, np.ndarray]:
-    """Sub-samples of patches along their two sides, two (m,) int out of SIDES, some `budget` in all.
+    """Sub-samples of patches along their two sides, two (m,) int out of SIDES, some `budget` in all beside the fewest.
 
     lengths: two (m,) of the sides, in texels. power: (m,) W. rough: (m,) bool, as few as ROUGH will do. What a patch
     blurs by is its power over its number of samples, so for the least blur in all that number follows the root of its
@@ -154,6 +154,7 @@ def counts(lengths, power: np.ndarray, rough: np.ndarray, budget: float) -> tupl
     area = np.maximum(lengths[0], 0.25) * np.maximum(lengths[1], 0.25)
     wanted = np.sqrt(np.sqrt(np.maximum(power, 0) / area))
     least = np.where(rough, ROUGH, FEWEST)
+    budget = budget + float((area * least * least).sum())
     low, high = 0.0, MOST / max(float(wanted.max()), 1e-30) * 64
     for _ in range(16):
         middle = (low + high) / 2
@@ -166,7 +167,7 @@ def counts(lengths, power: np.ndarray, rough: np.ndarray, budget: float) -> tupl
 def _samples(values, na, nb, first):
     """x, y (n,), patch (n,) and power (c, n) of the sub-samples of patches that have na × nb of them each."""
     columns, m = values.shape[1:]
-    found = _biquadratic(na, nb) @ values.reshape(9, -1)
+    found = biquadratic(na, nb) @ values.reshape(9, -1)
     found = found.reshape(na * nb, columns, m).transpose(1, 0, 2)
     patch = np.tile(np.arange(first, first + m), na * nb)
     # a parabola between photons may dip below nothing
