@@ -197,7 +197,7 @@ def make_tracer(surfaces: Scene) -> Tracer:
 def photons_for(scene: bpy.types.Scene) -> int:
     """Photons of each lamp."""
     asked = scene.lightpanes
-    return asked.photons or int(np.clip(core.PHOTONS * EXACT / asked.error_target, FEWEST, MOST))
+    return asked.photons or round(float(np.clip(core.PHOTONS * EXACT / asked.error_target, FEWEST, MOST)) / 100) * 100
 
 
 def ask(scene: bpy.types.Scene, lights: Iterable[Light], baked_in: Iterable[Light]) -> Asked:

@@ -279,8 +279,8 @@ def _hidden_lamps(scene, view_layer: str) -> set[str]:
 
 def _apply(context, scene, current: Session, lights):
     relighter = relighter_of(context, current)
-    begin = time.perf_counter()
     _focus(scene, current, relighter)
+    begin = time.perf_counter()
     light = relighter.light(lights)
     if relighter.panes.shown is not None:
         points.show(scene, relighter.rows(light))
