@@ -110,7 +110,12 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         tracer = caustics.make_tracer(surfaces)
         relighter = Relighter(result.panes(), tracer)
         shown = None if lit is None else direct.make_atlas(relighter.panes, surfaces, tracer, lit)
-        traced = None if focused is None else caustics.trace(relighter.panes, surfaces, focused)
+        traced = None
+        if focused is not None:
+            rays = result.report["rays"]
+            traced = caustics.trace(
+                relighter.panes, surfaces, focused, lambda _: progress(Progress("Caustics", BAKED, rays))
+            )
         return result, relighter, shown, traced, store.key_of(result)
 
     del scene, asked, objects, at_vertices, making, unfolded

@@ -197,7 +197,7 @@ def make_tracer(surfaces: Scene) -> Tracer:
 def photons_for(scene: bpy.types.Scene) -> int:
     """Photons of each lamp."""
     asked = scene.lightpanes
-    return asked.photons or int(np.clip(core.PHOTONS * EXACT / asked.error_target, FEWEST, MOST))
+    return asked.photons or round(float(np.clip(core.PHOTONS * EXACT / asked.error_target, FEWEST, MOST)) / 100) * 100
 
 
 def ask(scene: bpy.types.Scene, lights: Iterable[Light], baked_in: Iterable[Light]) -> Asked:
@@ -213,10 +213,13 @@ def ask_of(scene: bpy.types.Scene, surfaces: Scene) -> Asked | None:
     return ask(scene, surfaces.lights, ())
 
 
-def trace(panes: Panes, surfaces: Scene, asked: Asked) -> Traced:
-    """Work them out, so that a window need not wait. Nothing of Blender is read."""
+def trace(panes: Panes, surfaces: Scene, asked: Asked, tell: Callable[[float], object]) -> Traced:
+    """Work them out, so that a window need not wait. Nothing of Blender is read. tell: called with the part that is done;
+    an exception that it raises ends the work."""
     traced = Traced(panes, surfaces)
-    traced.atlas.image(asked.lights, asked.photons)
+    tell(0.0)
+    for step in traced.atlas.refine(asked.lights, asked.photons):
+        tell(step.done)
     return traced
 
 

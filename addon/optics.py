@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import bpy
 import numpy as np
 
-from ..core.caustics import SHARP, is_caster
+from ..core.caustics.casters import SHARP, is_caster
 from ..core.scene import Optics, Scene
 from .trees import constant, source, surface_output, uses_nodes
 

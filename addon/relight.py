@@ -45,6 +45,7 @@ class Session:
 
     key: str
     relighter: Relighter | None = None
+    focuses: bool = True  # whether it lets what casts caustics block the lamps
     edited: bool = False  # its shadows are those of surfaces that differ from what was baked
     shown: str = ""  # key of the lamps that the image shows
     landed: int = 0  # key of the caustics whose bounces it shows
@@ -92,7 +93,9 @@ def _begin(scene, key, **more) -> Session:
     meta = store.read_meta(scene) or {}
     panes = "panes" not in meta.get("report", {}).get("skipped", {})
     baked_in = tuple(lamps.from_json(values) for values in meta.get("static_lamps", ()))
-    return Session(key, static=meta.get("static", {}), baked_in=baked_in, panes=panes, **more)
+    # what is shown was made with caustics where these are there, whatever the setting has become
+    focuses = scene.lightpanes.caustics or caustics.is_shown(scene)
+    return Session(key, focuses=focuses, static=meta.get("static", {}), baked_in=baked_in, panes=panes, **more)
 
 
 def forget(scene: bpy.types.Scene) -> None:
@@ -277,8 +280,8 @@ def _hidden_lamps(scene, view_layer: str) -> set[str]:
 
 def _apply(context, scene, current: Session, lights):
     relighter = relighter_of(context, current)
-    begin = time.perf_counter()
     _focus(scene, current, relighter)
+    begin = time.perf_counter()
     light = relighter.light(lights)
     if relighter.panes.shown is not None:
         points.show(scene, relighter.rows(light))
@@ -343,14 +346,20 @@ def switch_caustics(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
     if current is None:
         return
     with _lock:
-        # glass blocks lamps where caustics are on
-        current.relighter, current.read, current.shown = None, None, ""
-        direct.forget_surfaces(scene)
-        if not scene.lightpanes.caustics:
-            caustics.end(scene)
+        _switch_caustics(scene, current)
     if scene == context.scene and scene.lightpanes.live:
         update(scene, context.evaluated_depsgraph_get())
     areas.redraw_panel()
+
+
+def _switch_caustics(scene, current: Session) -> None:
+    if current.focuses != scene.lightpanes.caustics:
+        # glass blocks lamps where caustics are on
+        current.focuses = scene.lightpanes.caustics
+        current.relighter, current.read, current.shown = None, None, ""
+        direct.forget_surfaces(scene)
+    if not scene.lightpanes.caustics:
+        caustics.end(scene)
 
 
 def switch_direct(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
@@ -464,8 +473,8 @@ def undone(scene: bpy.types.Scene) -> None:
     live_image.undone()
     if session(scene) is not None and not direct.is_baked(scene):
         direct.end(scene)
-    if session(scene) is not None and not scene.lightpanes.caustics:
-        caustics.end(scene)
+    if (current := session(scene)) is not None:
+        _switch_caustics(scene, current)
     update(scene, bpy.context.evaluated_depsgraph_get())
 
 

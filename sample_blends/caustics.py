@@ -1,6 +1,6 @@
 """The picture of caustics in README and manual: glass.blend without them, as baked, and traced by Cycles.
 
-python sample_blends/caustics.py [--output DIR] [--samples N] [--size PX] [--resolution PX] [--frame N]
+python sample_blends/caustics.py [--output DIR] [--samples N] [--size PX] [--resolution PX] [--photons N] [--frame N]
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def main() -> int:
         if item.type == "LIGHT":
             # a ball, as photons and paths both know it
             item.data.shadow_soft_size, item.data.use_soft_falloff = RADIUS, False
-    scene.lightpanes.resolution = options.resolution
+    scene.lightpanes.resolution, scene.lightpanes.photons = options.resolution, options.photons
     with commands.Bar() as bar, quiet():
         report = baking.bake_scene(bpy.context, bar)
     prepare(scene, options.size)
@@ -76,6 +76,8 @@ def _options():
     parser.add_argument("--samples", type=int, default=1024, help="Cycles samples per pixel of the reference")
     parser.add_argument("--size", type=int, default=400, help="width of a panel in pixels")
     parser.add_argument("--resolution", type=int, default=512, help="of the atlas in pixels")
+    # lamps as large as these want many: each point of them focuses light to another place
+    parser.add_argument("--photons", type=int, default=160_000, help="of each lamp")
     parser.add_argument("--frame", type=int, default=1)
     return parser.parse_args()
 

@@ -126,6 +126,35 @@ def test_undo(baked):
     assert np.allclose(image(), moved, rtol=1e-4, atol=1e-5)
 
 
+def test_undoing_the_switch(baked):
+    before, light = image(), image(store.IRRADIANCE)
+    bpy.ops.ed.undo_push(message="Baked")
+    baked.lightpanes.caustics = False
+    straight = image(store.IRRADIANCE)
+    assert np.abs(straight - light).max() > 0.01
+    bpy.ops.ed.undo_push(message="Switched")
+    bpy.ops.ed.undo()
+    assert bpy.context.scene.lightpanes.caustics
+    assert np.allclose(image(), before, rtol=1e-4, atol=1e-5)
+    assert np.allclose(image(store.IRRADIANCE), light, rtol=1e-3, atol=1e-4)
+    bpy.ops.ed.redo()
+    assert store.find_image(bpy.context.scene, store.CAUSTICS) is None
+    assert np.allclose(image(store.IRRADIANCE), straight, rtol=1e-3, atol=1e-4)
+
+
+def test_beside_the_blend(baked, tmp_path):
+    before = image()
+    baked.lightpanes.storage = "BESIDE"
+    scene = reopen(tmp_path)
+    assert store.path_of(store.find_image(scene, store.CAUSTICS)).exists()
+    assert np.array_equal(image(), before)
+    update()
+    bpy.data.objects["Lamp"].location.x += 0.3
+    update()
+    assert np.abs(image() - before).max() > 0.1 * before.max()
+    assert np.abs(image() - image(store.IRRADIANCE)).max() > 0
+
+
 def test_nothing_without_casters(room, monkeypatch):
     """No image, no tracing, no reading of the scene."""
     monkeypatch.setattr(caustics, "CausticAtlas", None)

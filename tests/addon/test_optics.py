@@ -7,7 +7,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 from lightpanes.addon import extract, optics  # noqa: E402
-from lightpanes.core.caustics import is_caster  # noqa: E402
+from lightpanes.core.caustics.casters import is_caster  # noqa: E402
 from mathutils import Matrix  # noqa: E402
 
 from .glassware import ball, material  # noqa: E402
