@@ -73,8 +73,8 @@ def main() -> int:
 def _options():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--output", default=HERE.parent / "out" / "caustics", help="folder for the results")
-    parser.add_argument("--samples", type=int, default=1024, help="Cycles samples per pixel of the reference")
-    parser.add_argument("--size", type=int, default=400, help="width of a panel in pixels")
+    parser.add_argument("--samples", type=int, default=256, help="Cycles samples per pixel of the reference")
+    parser.add_argument("--size", type=int, default=320, help="width of a panel in pixels")
     parser.add_argument("--resolution", type=int, default=512, help="of the atlas in pixels")
     # lamps as large as these want many: each point of them focuses light to another place
     parser.add_argument("--photons", type=int, default=160_000, help="of each lamp")
