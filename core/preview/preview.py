@@ -34,6 +34,10 @@ PASSES = {
 LATER = 2
 """Frame k's view of the cached light counts as k to this power: later ones know more."""
 
+FINE = (4.0, 16.0, 64.0)
+"""Cells' edges of the cache that is seen, in widths of a pixel: twice those that occlusion alone would want, for light
+that bounces has three to six times its noise."""
+
 COARSE = 24.0
 """Cells' edges of the cache that ends paths, in widths of a pixel."""
 
@@ -118,7 +122,7 @@ class Preview:
     def _make_cache(self):
         channels = sum(self._channels.values())
         if self.settings.cached:
-            return Cache(channels, seed=self.settings.seed)
+            return Cache(channels, fine=FINE[0], coarse=FINE[1:], seed=self.settings.seed)
         width, height = self.camera.size
         return PixelCache(channels, width * height)
 
