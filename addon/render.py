@@ -91,7 +91,7 @@ class LIGHTPANES_render_engine(bpy.types.RenderEngine):
             if surfaces is None:
                 _write(result, "Combined", background(eye, lighting.sky, scene.render.film_transparent))
             else:
-                settings = shown.settings_of(scene, places=max(1, scene.lightpanes.samples), split=bool(names))
+                settings = shown.settings_of(scene, split=bool(names))
                 preview = Preview(surfaces, eye, lighting.lights, lighting.sky, settings, lighting.baked)
                 self._sample(preview, result, names, scene.lightpanes.samples)
         finally:

@@ -24,6 +24,10 @@ all of them read it."""
 FEEDING = 8
 """Frames; from then on the part falls as one over their number."""
 
+AT_BOUNCES = 2
+"""Lamps asked at a bounce; with more, so many are picked. With one alone half the light of two would often be picked
+where it is blocked."""
+
 BRIGHTEST = 0.98
 """Albedo at a bounce, at most: between white walls light would never die out."""
 
@@ -175,8 +179,8 @@ class PathTracer:
         who = pixel[rows]
         if len(self.lamps):
             spot = np.stack([hash_uniform(who, base + k, seed) for k in (0, 1)])
-            pick = hash_uniform(who, base + 2, seed) if len(self.lamps) > 1 else None
-            light = self.lamps.irradiance(hit, normal, spot, pick, most=1)
+            pick = hash_uniform(who, base + 2, seed) if len(self.lamps) > AT_BOUNCES else None
+            light = self.lamps.irradiance(hit, normal, spot, pick, most=AT_BOUNCES)
         else:
             light = np.zeros_like(hit)
         unknown = np.ones(len(rows), bool)

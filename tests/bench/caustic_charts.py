@@ -1,4 +1,4 @@
-"""The chart and the pictures of caustics, in out/bench; the chart is docs/caustics.png too."""
+"""The chart and the pictures of caustics, in out/bench; the chart is docs/photons.png too."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def draw(lines: dict[str, dict[str, list[tuple[float, float, float]]]]) -> None:
         axes.set_ylabel("error, 4 × 4 texels")
     grid[0, 0].legend(fontsize=7, frameon=False)
     harness.OUT.mkdir(parents=True, exist_ok=True)
-    figure.savefig(harness.OUT / "caustics.png", dpi=110)
+    figure.savefig(harness.OUT / "photons.png", dpi=110)
     pyplot.close(figure)
-    shutil.copy(harness.OUT / "caustics.png", harness.ROOT / "docs" / "caustics.png")
+    shutil.copy(harness.OUT / "photons.png", harness.ROOT / "docs" / "photons.png")
     (harness.OUT / "caustics.json").write_text(json.dumps(lines, indent=1) + "\n", "utf-8")
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 from lightpanes.addon.reference import BOUNCES, UNBIASED
+from lightpanes.core.metrics import _gaussian
 
 CACHE = Path(__file__).resolve().parents[2] / "out" / "bench" / "cache"
 FLAGS = ("use_pass_diffuse_direct", "use_pass_diffuse_indirect", "use_pass_diffuse_color", "use_pass_ambient_occlusion")
@@ -74,6 +75,26 @@ def cycles_view(
         path.parent.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(path, seconds=seconds, **passes)
     return View(passes, seconds)
+
+
+def similarity(image: np.ndarray, halves: tuple[np.ndarray, np.ndarray], weights: tuple[float, float]) -> float:
+    """SSIM (`metrics.ssim`, peak 1) of an (H, W, 3) image with what two noisy images of independent noise are of.
+
+    Noise adds to a reference's variance and to no covariance: the truth's variance in a window is the halves'
+    covariance. So a perfect image gets 1, as it would beside a reference without noise. weights: of the halves, by samples.
+    """
+    first, second = halves
+    share = weights[0] / sum(weights)
+    mean = first * share + second * (1 - share)
+    at, middle = _gaussian(image), _gaussian(mean)
+    spread = _gaussian(image * image) - at**2
+    truth = _gaussian(first * second) - _gaussian(first) * _gaussian(second)
+    together = _gaussian(image * mean) - at * middle
+    c1, c2 = 0.01**2, 0.03**2
+    value = (
+        (2 * at * middle + c1) * (2 * together + c2) / ((at**2 + middle**2 + c1) * (spread + np.maximum(truth, 0) + c2))
+    )
+    return float(value.mean())
 
 
 def read_layers(data: bytes) -> dict[str, np.ndarray]:

@@ -5,6 +5,7 @@ import pytest
 from lightpanes.core import metrics, threads
 from lightpanes.core.lights import irradiance
 from lightpanes.core.preview import PASSES, Baked, Camera, Lamps, Preview, Settings, Surfaces, background
+from lightpanes.core.preview.pixel_filter import blackman_harris, offsets
 from lightpanes.core.rays import Tracer
 from lightpanes.core.sampling import r2_points
 from lightpanes.core.scene import Material, Optics, SceneError, Sky
@@ -271,3 +272,15 @@ def test_what_cannot_be_shown_is_named():
     preview.frame()
     with pytest.raises(SceneError, match="Mist"):
         preview.image("Mist")
+
+
+def test_places_in_a_pixel_are_its_filter():
+    places = offsets(2001, 1.5) - 0.5
+    assert places[0] == pytest.approx([0, 0], abs=1e-3) and places.mean(axis=0) == pytest.approx([0, 0], abs=1e-6)
+    at = np.linspace(-1.5, 1.5, 4001)
+    weight = blackman_harris(at, 1.5)
+    spread = np.sqrt((weight * at**2).sum() / weight.sum())
+    assert places.std(axis=0) == pytest.approx([spread, spread], rel=0.02)
+    assert (np.abs(places) <= 1.5).all()
+    # any few of them are about centred
+    assert np.abs(offsets(16, 1.5).mean(axis=0) - 0.5).max() < 0.06
