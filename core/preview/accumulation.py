@@ -43,13 +43,21 @@ class Film:
         self._weights: dict[str, float] = {}
 
     def add(self, name: str, image: np.ndarray, weight: float = 1.0) -> None:
-        """Count one more image; the first one may be kept and changed."""
+        """Count one more image."""
         if name not in self._sums:
+            # a copy, for sums are changed in place
             self._sums[name] = image * np.float32(weight)
             self._weights[name] = weight
             return
         self._sums[name] += image if weight == 1 else image * np.float32(weight)
         self._weights[name] += weight
+
+    def replace(self, name: str, image: np.ndarray, former: np.ndarray | None) -> None:
+        """Count an image in place of a former one, None where it is one more."""
+        if former is None:
+            self.add(name, image)
+        else:
+            self._sums[name] += image - former
 
     def mean(self, name: str) -> np.ndarray:
         return self._sums[name] / np.float32(self._weights[name])

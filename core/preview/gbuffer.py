@@ -96,14 +96,14 @@ def _trace(surfaces, camera, sky, origins, directions, reach, piece, seed, trans
         rows, triangle, u, v = found.rows, found.triangle, found.u, found.v
         if not len(rows):
             break
-        who, way, distance = alive[rows], way[rows], found.distance
+        who, way, distance = alive[rows], way.take(rows, axis=0), found.distance
         weight = None if weight is None else weight[rows]
         hit = scaled(way, distance)
-        hit += start[rows]
+        hit += start.take(rows, axis=0)
         normal, flat = surfaces.normals(triangle, u, v, way)
         gone = gone[rows] + distance
-        inside = inside[rows]
-        if inside.any():
+        inside = inside[rows] if turn else inside
+        if turn and inside.any():
             weight = (1 if weight is None else weight) * np.exp(-inside * distance[:, None])
         if turn == 0:
             alpha[who], depth[who], shown[who] = 1, camera.depth(hit), normal
@@ -126,11 +126,12 @@ def _trace(surfaces, camera, sky, origins, directions, reach, piece, seed, trans
             if weight is None:
                 weight = np.ones((len(rows), 3), np.float32)
             reflectance[several] = albedo[several] * weight[several] * factor
-        lit = np.flatnonzero(stops & (reflectance > 0).any(axis=1))
+        lit = np.flatnonzero(stops & (reflectance[:, 0] + reflectance[:, 1] + reflectance[:, 2] > 0))
+        lit = slice(None) if len(lit) == len(rows) else lit
         span = camera.footprint(depth[who[lit]]) if camera.is_orthographic else camera.footprint(gone[lit])
         ends.append(
             (
-                who[lit], hit[lit] + surfaces.offset * flat[lit], normal[lit], flat[lit], triangle[lit], u[lit], v[lit],
+                who[lit], _lifted(hit[lit], flat[lit], surfaces.offset), normal[lit], flat[lit], triangle[lit], u[lit], v[lit],
                 surfaces.scene.triangle_object[triangle[lit]], span, reflectance[lit],
             )
         )  # fmt: skip
@@ -144,7 +145,7 @@ def _trace(surfaces, camera, sky, origins, directions, reach, piece, seed, trans
         way = onward[on]
         side = np.sign(np.einsum("nd,nd->n", way, flat[rows]))[:, None]
         start = hit[rows] + side * surfaces.offset * flat[rows]
-        inside = np.where(lobe[on, None] == _GLASS, swallowed[on], inside[rows])
+        inside = np.where(lobe[on, None] == _GLASS, swallowed[on], inside[rows] if turn else np.float32(0))
         far = np.full(len(rows), 1e30, np.float32)
     if ends:
         ends = [np.concatenate(column) for column in zip(*ends, strict=True)]
@@ -152,9 +153,10 @@ def _trace(surfaces, camera, sky, origins, directions, reach, piece, seed, trans
         none3, none = np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
         names = np.zeros(0, np.int32)
         ends = [np.zeros(0, np.int64), none3, none3, none3, names, none, none, names, none, none3]
-    # rows in the order of pixels, so that neighbours stay together
-    order = np.argsort(ends[0], kind="stable") if len(ends[0]) else slice(None)
-    ends = [column[order] for column in ends]
+    if (np.diff(ends[0]) < 0).any():
+        # in the order of pixels, so that neighbours stay together
+        order = np.argsort(ends[0], kind="stable")
+        ends = [column[order] for column in ends]
     ends[0] = ends[0] + piece.start
     return (*ends, seen, alpha, depth, shown)
 
@@ -252,3 +254,10 @@ def background(camera: Camera, sky: Sky | None, transparent: bool = False) -> np
         if sky is not None:
             image[:, :3] = sky_radiance(sky, camera.rays()[1])
     return image.reshape(height, width, 4)
+
+
+def _lifted(places, flat, offset) -> np.ndarray:
+    """(n, 3) places moved off their surfaces."""
+    lifted = flat * offset
+    lifted += places
+    return lifted

@@ -32,7 +32,7 @@ PASSES = {
 """Images that a preview makes, and their channels."""
 
 LATER = 2
-"""Frame k's view of the cached light counts as k to this power: later ones know more."""
+"""Where views are not kept, frame k's view of the cached light counts as k to this power: later ones know more."""
 
 FINE = (8.0, 32.0, 128.0)
 """Cells' edges of the cache that is seen, in widths of a pixel: larger than occlusion alone would want, for light that
@@ -42,8 +42,8 @@ bounces has three to six times its noise. Against Cycles, two_rooms, 64 frames, 
 COARSE = 24.0
 """Cells' edges of the cache that ends paths, in widths of a pixel."""
 
-KEPT_BYTES = 400e6
-"""Of views that are kept for a camera at rest."""
+KEPT_BYTES = 1e9
+"""Of the views of all places in a pixel, which are kept for a camera at rest where they fit."""
 
 TILE = 4
 """Pixels along each side of a tile whose samples are spread together."""
@@ -63,7 +63,7 @@ class Settings:
     cached: share light between pixels, in the world-space cache; else every pixel has its own mean."""
 
     bounces: int = 8
-    places: int = 16
+    places: int = 8
     filter_width: float = 1.5
     ao_distance: float = 10.0
     transparent: bool = False
@@ -75,7 +75,8 @@ class Settings:
 @dataclass
 class _View:
     """One look through the camera. known: (k,) rows of the G-buffer's m whose indirect light a bake holds, rest: the
-    others. baked: first and indirect light of the known ones. places: of the rest, in the cache. shifts: of numbers, for each dimension."""
+    others. baked: first and indirect light of the known ones. places: of the rest, in the cache. shifts: of numbers, for each dimension. shown: what
+    the film has of it, of each of the cache's parts."""
 
     buffer: GBuffer
     known: np.ndarray
@@ -83,6 +84,7 @@ class _View:
     baked: tuple[np.ndarray, np.ndarray] | None
     places: object = None
     shifts: dict[int, np.ndarray] = field(default_factory=dict)
+    shown: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def bytes(self) -> int:
@@ -165,16 +167,24 @@ class Preview:
         self.frames += 1
         self._drawn += 1
         film, weight = self._film, float(self.frames) ** LATER
-        film.add("seen", np.concatenate([buffer.seen, buffer.alpha[:, None]], axis=1))
+        kept = bool(self._views)
+        # what a place in the pixel shows by itself stays: once all have been seen, the mean of them is final
+        fresh = self.frames <= self.settings.places
+        if fresh:
+            film.add("seen", np.concatenate([buffer.seen, buffer.alpha[:, None]], axis=1))
         film.add("direct", _spread(direct, buffer.rows, count))
+        for name, values in parts.items():
+            image = _spread(values if name == "ao" else values * reflectance, buffer.rows, count)
+            if kept:
+                film.replace(name, image, view.shown.get(name))
+                view.shown[name] = image
+            else:
+                film.add(name, image, weight)
         if "light" in parts:
-            film.add("light", _spread(parts["light"] * reflectance, buffer.rows, count), weight)
             return
-        for name in ("first", "indirect"):
-            film.add(name, _spread(parts[name] * reflectance, buffer.rows, count), weight)
-        film.add("ao", _spread(parts["ao"], buffer.rows, count), weight)
-        film.add("colour", _spread(buffer.reflectance, buffer.rows, count))
-        film.add("normal", buffer.shown_normal)
+        if fresh:
+            film.add("colour", _spread(buffer.reflectance, buffer.rows, count))
+            film.add("normal", buffer.shown_normal)
         if "depth" not in film:
             film.add("depth", buffer.depth[:, None])
 
@@ -225,7 +235,7 @@ class Preview:
             # another unit is another cache, so it stays while it is about right
             if not 0.4 < self._span / max(span, 1e-30) < 2.5:
                 self._span = span
-        if (len(self._views) + 1) * view.bytes <= KEPT_BYTES:
+        if settings.places * view.bytes <= KEPT_BYTES:
             self._views[place] = view
         return view
 
