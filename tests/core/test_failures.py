@@ -311,7 +311,6 @@ def walked(size, place, tint, albedo, count=100_000, bounces=40) -> np.ndarray:
         ahead = normal + around / np.linalg.norm(around, axis=1, keepdims=True)
         with np.errstate(divide="ignore", invalid="ignore"):
             reach = np.where(ahead > 0, (size - here) / ahead, -here / ahead)
-        reach[row, axis] = np.inf
         axis = reach.argmin(axis=1)
         there = here + ahead * reach[row, axis][:, None]
         there[row, axis] = np.where(ahead[row, axis] > 0, size[axis], 0)
