@@ -15,7 +15,7 @@ from .glassware import ball, floor, image  # noqa: E402
 from .soft import camera, render  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("quick")
-DARK = 0.1
+DARK = 0.02
 
 
 @pytest.fixture
@@ -36,12 +36,13 @@ def test_the_whole_is_what_cycles_traces(baked):
     """Direct light, caustics and what bounces, in a bake's texels."""
     parts = {role: image(role) for role in (store.DIRECT, store.CAUSTICS, store.IRRADIANCE)}
     whole = sum(parts.values())
-    traced = reference.halves(bpy.context, {"DIRECT", "INDIRECT"}, 64, 256)
+    traced = reference.halves(bpy.context, {"DIRECT", "INDIRECT"}, 64, 512)
     mask = store.load_bake(baked).own & traced.mask & floor()
     noise = relative_rmse(traced.halves[0], traced.halves[1], mask, 4) / 2
     assert parts[store.CAUSTICS][mask].mean() > 0.1 * whole[mask].mean(), "worth a test"
     error = relative_rmse(whole, traced.image, mask, 4)
-    assert noise < 0.08 and error**2 - noise**2 < 0.03**2
+    # the halves' difference tells paths' noise to half as much again: few of them carry most of the light
+    assert noise < 0.07 and error < 0.02 + 1.5 * noise
     assert whole[mask].mean() == pytest.approx(traced.image[mask].mean(), rel=0.02)
     # twice or never would be far off
     for times in (-1, 1):
