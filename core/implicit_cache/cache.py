@@ -1,14 +1,15 @@
 """The cache that a preview uses: what frames find at surfaces, kept in world space and read back without noise.
 
-Each sample is split over the corners of two lattices, a fine and a coarse one, by trilinear weights. A read is
-(S + k V) / (C + k): S and C are the sum and the count of samples that the fine corners hold, V the coarse mean, and k
-says how many samples that mean is worth. So the first frames are smooth, later ones sharp, and nothing is tuned.
+Each sample is split over the corners of three lattices, from fine to coarse, by trilinear weights. A read is
+(S + k V) / (C + k): S and C are the sum and the count of samples that the fine corners hold, V the mean of the next
+coarser ones, made likewise, and k says how many samples that mean is worth (trust.py). So the first frames are smooth,
+later ones sharp, and nothing is tuned.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,19 +32,23 @@ HANDED_DOWN = 16.0
 TINY = np.float32(1e-12)
 
 
-class Places(NamedTuple):
+@dataclass
+class Places:
     """Where in a cache some samples belong. It stays usable while the samples stay where they are.
 
-    count: of samples. slot: (m,) int32 entries that they use; tag: (m,) uint32, whose they are. pieces: for each piece
-    of the samples a layer for each lattice, finest first; thin: the first two of them for a few of the samples.
-    share: (m,) float32 sums of weights. noise: (2, m) sums that tell how samples scatter, changed by `Cache.add`.
+    count: of samples. slot: (m,) int64 entries that they use; home, tag: (m,) int32 and uint32, by which these are found
+    again once the table has put itself in order (`moves`). pieces: for each piece of the samples a layer for each lattice,
+    finest first; thin: the first two of them for a few of the samples. share: (m,) float32 sums of weights.
+    noise: (2, m) sums that tell how samples scatter.
     """
 
     count: int
     slot: np.ndarray
+    home: np.ndarray
     tag: np.ndarray
-    pieces: list[list[Layer]]
-    thin: list[list[Layer]]
+    moves: int
+    pieces: Sequence[Sequence[Layer]]
+    thin: Sequence[Sequence[Layer]]
     share: np.ndarray
     noise: np.ndarray
 
@@ -56,7 +61,7 @@ class Cache:
     trust: samples that the mean of each coarse lattice is worth beside what is finer; that of the first is where it
         begins, and then measured unless `measured` is False (see trust.py).
     most: no entry counts more samples than this, so what changed fades in as fast as 1 / most.
-    slots: of the table, a power of two; four of ten can be in use, then the least recently seen entries go.
+    slots: of the table, a power of two; half of them can be in use, then the least recently seen entries go.
     by_normal: whether surfaces that face other ways (of 26) are kept apart.
     seed: another seed, other hashes. threads: None for all.
 
@@ -67,12 +72,12 @@ class Cache:
         self,
         channels: int = 1,
         *,
-        fine: float = 2.0,
+        fine: float = 2.5,
         coarse: Sequence[float] | None = (8.0, 32.0),
         trust: Sequence[float] = (48.0, 12.0),
         measured: bool = True,
         most: float = MOST,
-        slots: int = 1 << 21,
+        slots: int = 1 << 20,
         by_normal: bool = True,
         seed: int = 0,
         threads: int | None = None,
@@ -135,7 +140,7 @@ class Cache:
     ) -> Places:
         """Entries for places, made where they are missing.
 
-        position: (n, 3) float32, m; float64 where a scene is farther from the origin than 10,000 of its cells' sizes.
+        position: (n, 3) float32, m; float64 where a scene is farther than a million of its cells from the origin.
         normal: (n, 3) float32 unit, towards the side that is seen; None where all sides share entries.
         object_id: (n,) integers, None where all objects share them.
         footprint: (n,) or one number, m: what a pixel covers there. Levels are powers of two.
@@ -160,6 +165,9 @@ class Cache:
                 found.append((runs, self.table.find(runs.key)))
             return found
 
+        def again(piece):
+            return [(runs, self.table.find(runs.key)) for runs, _ in piece]
+
         pieces = in_threads(seek, _pieces(count), self.threads)
         found = [layer for piece in pieces for layer in piece]
         used = np.zeros(self.table.slots + 1, bool)
@@ -168,7 +176,16 @@ class Cache:
         if create:
             # before others are made, so that these are not forgotten for them
             self.table.touch(np.flatnonzero(used))
-            used[self._make_missing(found)] = True
+            moves = self.table.moves
+            made = self._make_missing(found)
+            if moves == self.table.moves:
+                used[made] = True
+            else:
+                pieces = in_threads(again, pieces, self.threads)
+                used[:] = False
+                for piece in pieces:
+                    for _, slot in piece:
+                        used[slot] = True
         live = np.flatnonzero(used)
         number = np.empty(self.table.slots + 1, np.int32)
         number[live] = np.arange(len(live), dtype=np.int32)
@@ -176,7 +193,7 @@ class Cache:
         def settle(piece):
             layers = []
             for runs, slot in piece:
-                entry, own = number_entries(number[slot], len(live))
+                entry, own = number_entries(number.take(slot), len(live))
                 layers.append(Layer(entry, runs.weight, own.astype(np.int64).take(runs.run, axis=1)))
             thin = [layer.thinned(EVERY) for layer in layers[:2]] if self.measured else []
             return layers, thin, [layer.sums() for layer in layers]
@@ -186,32 +203,37 @@ class Cache:
         for piece, parts in zip(layers, sums, strict=True):
             for layer, part in zip(piece, parts, strict=True):
                 share[layer.entry] += part
-        return Places(
-            count, live, self.table.tag[live], layers, thin, share.astype(np.float32), np.zeros((2, len(live)))
-        )
+        home, tag = self.table.homes(live), self.table.tag[live]
+        noise = np.zeros((2, len(live)))
+        return Places(count, live, home, tag, self.table.moves, layers, thin, share.astype(np.float32), noise)
 
     def _make_missing(self, found):
         """Make entries for all corners that have none, write their slots into `found` in place, and return them."""
-        absent = [np.nonzero(slot == self.table.nowhere) for _, slot in found]
-        keys = np.concatenate([runs.key[where] for (runs, _), where in zip(found, absent, strict=True)])
+        absent = [np.flatnonzero(slot == self.table.nowhere) for _, slot in found]
+        keys = np.concatenate([runs.key.reshape(-1)[rows] for (runs, _), rows in zip(found, absent, strict=True)])
+        if not len(keys):
+            return keys.astype(np.int32)
         new, example, inverse = np.unique(keys, return_index=True, return_inverse=True)
         before = self.table.used
         made = self.table.insert(new)
-        of_each = np.split(made[inverse.reshape(-1)], np.cumsum([len(corner) for corner, _ in absent])[:-1])
-        for (_, slot), where, part in zip(found, absent, of_each, strict=True):
-            slot[where] = part
-        if before and len(new):
+        of_each = np.split(made[inverse.reshape(-1)], np.cumsum([len(rows) for rows in absent])[:-1])
+        for (_, slot), rows, part in zip(found, absent, of_each, strict=True):
+            slot.reshape(-1)[rows] = part
+        if before:
             self._hand_down(found, absent, example, made)
         return made
 
     def _hand_down(self, found, absent, example, made):
         """New entries begin with what the nearest entry of the next coarser level has, so that a new level is no cut."""
-        pairs = list(zip(found, absent, strict=True))
-        cell = np.concatenate([runs.cell[:, run] + CORNERS[corner].T for (runs, _), (corner, run) in pairs], axis=1)
-        level = np.concatenate([runs.level[run] for (runs, _), (_, run) in pairs])
-        surface = np.concatenate([runs.surface[run] for (runs, _), (_, run) in pairs])
-        parents = lattice_keys(cell[:, example] >> 1, level[example] + 1, surface[example])
-        parent = self.table.find(parents)
+        cell, level, surface = [], [], []
+        for (runs, _), rows in zip(found, absent, strict=True):
+            corner, run = np.divmod(rows, max(len(runs.first), 1))
+            cell.append(runs.cell[:, run] + CORNERS.T[:, corner])
+            level.append(runs.level[run])
+            surface.append(runs.surface[run])
+        cell = np.concatenate(cell, axis=1)[:, example]
+        level, surface = np.concatenate(level)[example], np.concatenate(surface)[example]
+        parent = self.table.find(lattice_keys(cell >> 1, level + 1, surface))
         rows = np.flatnonzero((parent != self.table.nowhere) & (made != self.table.nowhere))
         parent = parent[rows]
         count = np.minimum(self.table.counts(parent), np.float32(HANDED_DOWN))
@@ -219,11 +241,12 @@ class Cache:
 
     def holds(self, places: Places) -> bool:
         """Whether the table still has all entries of these places; look them up again where it does not."""
-        return bool((self.table.tag[places.slot] == places.tag).all())
+        return bool((self.table.tag[self._slots(places)] == places.tag).all())
 
     def _slots(self, places):
-        gone = self.table.tag[places.slot] != places.tag
-        return np.where(gone, self.table.nowhere, places.slot) if gone.any() else places.slot
+        if places.moves != self.table.moves:
+            places.slot, places.moves = self.table.find_again(places.home, places.tag), self.table.moves
+        return places.slot
 
     def add(self, places: Places, values: np.ndarray) -> None:
         """Add one sample at each place: values (n, channels), or (n,) for one channel."""
@@ -233,12 +256,13 @@ class Cache:
         values = values.reshape(places.count, self.channels)
         by_channel = np.ascontiguousarray(values.T)
         slot = self._slots(places)
-        known = self._sums(slot)
 
         def gather(item):
             piece, layers, thin = item
             sums = [np.stack([layer.sums(row[piece]) for row in by_channel]) for layer in layers]
-            spread = scatter(thin[1], known, by_channel[:, piece][:, ::EVERY]) if thin else None
+            spread = (
+                scatter(thin[1], self._sums(slot[thin[1].entry]), by_channel[:, piece][:, ::EVERY]) if thin else None
+            )
             return sums, spread
 
         items = zip(_pieces(places.count), places.pieces, places.thin, strict=True)
@@ -267,7 +291,7 @@ class Cache:
         return np.ascontiguousarray(self._read(places, otherwise.T)[0])
 
     def known(self, places: Places) -> np.ndarray:
-        """(n,) float32 count of samples that a read at each place rests on, both layers together."""
+        """(n,) float32 count of samples that a read at each place rests on, coarse means as what they are worth."""
         return self._read(places, 0.0)[1]
 
     def _read(self, places, otherwise):
@@ -275,12 +299,12 @@ class Cache:
         trust = self._measured_trust(places, sums) if self.measured else None
 
         def mix(layers):
-            total = layers[-1].mixtures(sums)
+            total = layers[-1].mixtures(sums.take(layers[-1].entry))
             # from the coarsest on: what is known by then joins the sums of the next as so many samples
             for k in range(len(layers) - 2, -1, -1):
-                worth = self.trust[k] if k or trust is None else layers[1].mixtures(trust)[0]
+                worth = self.trust[k] if k or trust is None else layers[1].mixtures(trust.take(layers[1].entry))[0]
                 total *= np.minimum(total[-1], worth) / np.maximum(total[-1], TINY)
-                total += layers[k].mixtures(sums)
+                total += layers[k].mixtures(sums.take(layers[k].entry))
             total[:-1] /= np.maximum(total[-1], TINY)
             return total
 
@@ -296,13 +320,16 @@ class Cache:
         total = np.zeros((3, len(places.slot)))
         for (_, coarse), part in zip(places.thin, in_threads(depart, places.thin, self.threads), strict=True):
             total[:, coarse.entry] += part
-        return Packed(worth(noise, total, self.trust[0])[None])
+        trust = np.full((1, len(noise)), self.trust[0], np.float32)
+        rows = np.flatnonzero(total[2] > 0)
+        trust[0, rows] = worth(noise[rows], total[:, rows], self.trust[0])
+        return Packed(trust)
 
     def age(self, factor: float = 0.9) -> None:
         """Every count times `factor`: what is known weighs less beside what comes."""
         self.table.scale_counts(factor)
 
-    def drop(self, count: float = 4.0) -> None:
+    def drop(self, count: float = 3.0) -> None:
         """No entry counts more than so many samples: after a lamp or an object moved, what is new soon shows."""
         self.table.limit_counts(count)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .probing import LEFT, claim, find
+from .probing import EMPTY, claim, find
 
 SUM_BITS = 11
 """Fraction bits of a frame's sums: with 32 bits, sums up to two million."""
@@ -37,7 +37,7 @@ class FixedTable:
         return self.key.itemsize + self.count.itemsize + self.value.itemsize * len(self.value)
 
     def _homes(self, keys):
-        tag = np.maximum(keys, LEFT + 1)
+        tag = np.maximum(keys, EMPTY + 1)
         return (tag & np.uint32(len(self.key) - 1)).astype(np.int32), tag
 
     def find(self, keys: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ Each piece of the samples numbers the entries that it uses anew, so that its sum
 
 from __future__ import annotations
 
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +16,19 @@ class Packed:
 
     def __init__(self, rows: np.ndarray):
         self.count = len(rows)
-        odd = [rows[-1].astype(np.float32)] if self.count % 2 else []
-        self.pairs = [a + np.complex64(1j) * b for a, b in zip(rows[0::2], rows[1::2], strict=False)] + odd
+        self.pairs = []
+        for k in range(0, self.count - 1, 2):
+            pair = np.empty(rows.shape[1], np.complex64)
+            pair.real, pair.imag = rows[k], rows[k + 1]
+            self.pairs.append(pair)
+        if self.count % 2:
+            self.pairs.append(rows[-1].astype(np.float32))
+
+    def take(self, entry: np.ndarray) -> Packed:
+        """Of these entries."""
+        taken = copy(self)
+        taken.pairs = [pair.take(entry) for pair in self.pairs]
+        return taken
 
 
 class Layer(NamedTuple):
@@ -36,10 +48,10 @@ class Layer(NamedTuple):
         return np.bincount(self.number.reshape(-1), terms.reshape(-1), minlength=len(self.entry))
 
     def mixtures(self, rows: Packed) -> np.ndarray:
-        """(rows, n) float32 sums of weight times value, of rows of values of all entries."""
+        """(rows, n) float32 sums of weight times value, of rows of values of the layer's entries."""
         result = np.empty((rows.count, self.weight.shape[1]), np.float32)
         for k, pair in enumerate(rows.pairs):
-            terms = pair.take(self.entry).take(self.number)
+            terms = pair.take(self.number)
             terms *= self.weight
             total = terms.sum(axis=0)
             result[2 * k] = total.real
@@ -60,4 +72,4 @@ def number_entries(entry: np.ndarray, entries: int) -> tuple[np.ndarray, np.ndar
     own = np.flatnonzero(used)
     number = np.empty(entries, np.int32)
     number[own] = np.arange(len(own), dtype=np.int32)
-    return own, number[entry]
+    return own, number.take(entry)

@@ -103,7 +103,11 @@ class OnePointCache:
 
         def search(s):
             found, squared = three_nearest(self._candidates(place[:, s], normal[:, s], level[s], surface[s]))
-            return found, areas(squared) if self.choice == "barycentric" else np.eye(3, len(found[0]), dtype=np.float32)
+            if self.choice == "barycentric":
+                return found, areas(squared)
+            weight = np.zeros(found.shape, np.float32)
+            weight[0] = 1
+            return found, weight
 
         parts = in_threads(search, chunks(place.shape[1], PIECE), self.threads)
         keys, weights = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-PROBES = 24
+PROBES = 64
 """Slots that are tried for a key. A search ends at the first empty one, so few take more than two."""
 
-EMPTY, LEFT = 0, 1
-"""Tags of slots that were never used (searches end there), and of those that were (searches go on)."""
+EMPTY = 0
+"""Tag of a slot that holds nothing."""
 
 
 def find(tags: np.ndarray, home: np.ndarray, tag: np.ndarray) -> np.ndarray:
     """(n,) int32 slots that hold these tags, −1 where none does. tags: (slots,) uint32, a power of two; home: (n,) int32
-    where a search begins; tag: (n,) uint32 above LEFT."""
+    where a search begins; tag: (n,) uint32, not EMPTY."""
     there = tags.take(home)
     slot = np.where(there == tag, home, np.int32(-1))
     open_ = np.flatnonzero((there != tag) & (there != EMPTY))
@@ -37,7 +37,7 @@ def claim(tags: np.ndarray, home: np.ndarray, tag: np.ndarray) -> np.ndarray:
     for _ in range(PROBES):
         if not len(open_):
             break
-        free = tags[home] <= LEFT
+        free = tags[home] == EMPTY
         # where several want a slot the last one gets it, and the others look on
         tags[home[free]] = tag[free]
         settled = free & (tags[home] == tag)

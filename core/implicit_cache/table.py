@@ -1,8 +1,8 @@
 """The cache's hash table: open addressing with linear probing, in flat arrays.
 
-An entry is a tag of 4 bytes, a mean of 4 bytes a channel, and 4 bytes that hold both its count of samples and when it
-was last seen: 12 bytes for occlusion, 20 for colour. Means are float32, so that light of any strength is kept.
-Nothing ever moves. A table that is full forgets what was least recently seen.
+An entry is a tag of 4 bytes, a mean of 4 bytes a channel, and 4 bytes that hold its count of samples, when it was last
+seen and how far it lies from where its search begins: 12 bytes for occlusion, 20 for colour. Means are float32, so that
+light of any strength is kept. A table that is full forgets what was least recently seen, and puts the rest in order.
 """
 
 from __future__ import annotations
@@ -10,31 +10,37 @@ from __future__ import annotations
 import numpy as np
 
 from .keys import mix
-from .probing import EMPTY, LEFT, PROBES, claim, find
+from .probing import EMPTY, claim, find
 
-FULL = 0.4
+FULL = 0.5
 """Largest share of slots in use; probing slows down soon after."""
 
 KEPT = 0.7
 """Share of those that are kept when the table is full."""
 
-CLOCK = 4096
-"""The clock of last sights runs modulo this, in the low 12 bits of a word; the count has the other 20."""
+STEP = 1 / 16
+"""Unit of a stored count, in the upper 18 bits of a word."""
 
-STEP = 1 / 32
-"""Unit of a stored count."""
-
-MOST = (2**20 - 1) * STEP
+MOST = (2**18 - 1) * STEP
 """Largest count."""
+
+CLOCK, TICKS = 256, 4
+"""The clock of last sights goes on by one in so many ticks, modulo 256: the 8 bits below the count."""
+
+SHIFT = 64
+"""Slots between an entry and where its search begins are fewer: the low 6 bits."""
 
 
 class Table:
-    """Means and counts by 64-bit key. channels: numbers of a mean; slots: how many, a power of two."""
+    """Means and counts by 64-bit key. channels: numbers of a mean; slots: how many, a power of two.
+
+    moves: how often entries got other slots.
+    """
 
     def __init__(self, channels: int, slots: int):
         if slots < 64 or slots & slots - 1:
             raise ValueError(f"The slots must be a power of two of at least 64, not {slots}.")
-        self.channels, self.slots, self.used, self.now = channels, slots, 0, 0
+        self.channels, self.slots, self.used, self.now, self.moves = channels, slots, 0, 0, 0
         # one more at the end, for what finds no place: nothing is ever kept there
         self.tag = np.zeros(slots + 1, np.uint32)
         self.mean = np.zeros((channels, slots + 1), np.float32)
@@ -52,7 +58,7 @@ class Table:
 
     def _homes(self, keys):
         scattered = mix(keys)
-        tag = np.maximum(scattered.astype(np.uint32), LEFT + 1)
+        tag = np.maximum(scattered.astype(np.uint32), EMPTY + 1)
         return (scattered >> np.uint64(32)).astype(np.int32) & np.int32(self.slots - 1), tag
 
     def find(self, keys: np.ndarray) -> np.ndarray:
@@ -64,77 +70,102 @@ class Table:
     def insert(self, keys: np.ndarray) -> np.ndarray:
         """(n,) int32 slots for (n,) different keys that the table does not hold; `nowhere` for those that find none.
 
-        Their counts are 0. Entries that were not seen at this tick of the clock may be forgotten.
+        Their counts are 0. Entries that were not seen just now may be forgotten, and others get new slots: see `moves`.
         """
         limit = int(FULL * self.slots)
         if self.used + len(keys) > limit:
             self._forget(max(self.used + len(keys) - limit, self.used - int(KEPT * limit)))
         slot = np.full(len(keys), self.nowhere, np.int32)
         room = min(len(keys), limit - self.used)
-        found = claim(self.tag[:-1], *self._homes(keys[:room]))
+        home, tag = self._homes(keys[:room])
+        found = self._claim(home, tag)
         slot[:room][found >= 0] = found[found >= 0]
         new = slot[slot != self.nowhere]
-        self.used += len(new)
         self.mean[:, new] = 0
-        self.word[new] = self.now % CLOCK
+        self.word[new] |= np.uint32(self._stamp() << 6)
+        return slot
+
+    def _claim(self, home, tag):
+        """(n,) int32 slots, −1 for none; their words hold only how far they are from home."""
+        slot = claim(self.tag[:-1], home, tag)
+        there = slot >= 0
+        self.word[slot[there]] = (slot[there] - home[there] & self.slots - 1).astype(np.uint32)
+        self.used += int(np.count_nonzero(there))
         return slot
 
     def _forget(self, count):
-        """Free so many slots, or as many as were not seen just now."""
-        held = np.flatnonzero(self.tag[:-1] > LEFT)
-        age = (self.now - self.word[held].astype(np.int64)) % CLOCK
-        held, age = held[age > 0], age[age > 0]
-        gone = held[np.argsort(-age, kind="stable")[:count]]
-        self.tag[gone] = LEFT
-        self.word[gone] = 0
-        self.used -= len(gone)
-        # a slot before an empty one need not keep searches going
-        tag = self.tag[:-1]
-        for _ in range(PROBES):
-            ends = np.flatnonzero((tag == LEFT) & (np.roll(tag, -1) == EMPTY))
-            if not len(ends):
-                break
-            tag[ends] = EMPTY
+        """Free so many slots, or as many as were not seen just now, and close the gaps."""
+        held = np.flatnonzero(self.tag[:-1] != EMPTY)
+        age = self._ages(held)
+        gone = np.flatnonzero(age > 0)
+        gone = gone[np.argsort(-age[gone], kind="stable")[:count]]
+        if not len(gone):
+            return
+        held = np.delete(held, gone)
+        home, tag = self.homes(held), self.tag[held]
+        mean, word = self.mean[:, held], self.word[held]
+        self.tag[:] = EMPTY
+        self.word[:] = 0
+        self.used = 0
+        self.moves += 1
+        slot = self._claim(home, tag)
+        slot, there = slot[slot >= 0], slot >= 0
+        self.mean[:, slot] = mean[:, there]
+        self.word[slot] |= word[there] & ~np.uint32(SHIFT - 1)
+
+    def homes(self, slots: np.ndarray) -> np.ndarray:
+        """(n,) int32 where searches for the entries at these slots begin."""
+        away = (self.word[slots] & np.uint32(SHIFT - 1)).astype(np.int32)
+        return (slots - away & self.slots - 1).astype(np.int32)
+
+    def find_again(self, home: np.ndarray, tag: np.ndarray) -> np.ndarray:
+        """(n,) int64 slots of entries known by their home and tag, `nowhere` for those that are gone."""
+        slot = find(self.tag[:-1], home, tag).astype(np.int64)
+        # nowhere has no tag
+        return np.where((slot < 0) | (tag == EMPTY), self.nowhere, slot)
+
+    def _stamp(self):
+        return self.now // TICKS % CLOCK
+
+    def _ages(self, slots):
+        return (self._stamp() - (self.word[slots] >> np.uint32(6)).astype(np.int64)) % CLOCK
 
     def tick(self) -> None:
         """The clock of last sights goes on."""
         self.now += 1
-        if self.now % (CLOCK // 4) == 0:
+        if self.now % (CLOCK // 4 * TICKS) == 0:
             # what is older than half a turn stays so, in place of looking young again
-            age = (self.now - self.word.astype(np.int64)) % CLOCK
-            old = np.flatnonzero(age > CLOCK // 2)
-            self._store(old, self.counts(old), (self.now - CLOCK // 2) % CLOCK)
+            held = np.flatnonzero(self.tag[:-1] != EMPTY)
+            old = held[self._ages(held) > CLOCK // 2]
+            self._write(old, self.word[old] >> np.uint32(14), (self._stamp() - CLOCK // 2) % CLOCK)
 
     def counts(self, slots: np.ndarray | slice) -> np.ndarray:
         """float32 counts of samples."""
-        return (self.word[slots] >> np.uint32(12)).astype(np.float32) * np.float32(STEP)
+        return (self.word[slots] >> np.uint32(14)).astype(np.float32) * np.float32(STEP)
 
     def touch(self, slots: np.ndarray) -> None:
         """These are seen now."""
-        self.word[slots] = self.word[slots] & ~np.uint32(CLOCK - 1) | np.uint32(self.now % CLOCK)
+        self._write(slots, self.word[slots] >> np.uint32(14), self._stamp())
 
     def put(self, slots: np.ndarray, mean: np.ndarray, count: np.ndarray) -> None:
         """Keep means (channels, n) and counts (n,) of samples, in [0, MOST]; what has some count keeps some."""
         self.mean[:, slots] = mean
-        self._store(slots, count, self.now % CLOCK)
+        units = np.rint(np.minimum(count, MOST) * (1 / STEP)).astype(np.uint32)
+        self._write(slots, np.maximum(units, count > 0), self._stamp())
         self.word[self.nowhere] = 0
 
-    def _store(self, slots, count, stamp):
-        units = np.rint(np.minimum(count, MOST) * (1 / STEP)).astype(np.uint32)
-        np.maximum(units, count > 0, out=units)
-        self.word[slots] = units << np.uint32(12) | np.uint32(stamp)
+    def _write(self, slots, units, stamp):
+        away = self.word[slots] & np.uint32(SHIFT - 1)
+        self.word[slots] = units << np.uint32(14) | np.uint32(stamp << 6) | away
 
     def limit_counts(self, most: float) -> None:
         """No count stays above this."""
-        units = np.uint32(min(most, MOST) / STEP)
-        stamp = self.word & np.uint32(CLOCK - 1)
-        np.minimum(self.word >> np.uint32(12), units, out=self.word)
-        self.word <<= np.uint32(12)
-        self.word |= stamp
+        units = np.minimum(self.word >> np.uint32(14), np.uint32(min(most, MOST) / STEP))
+        self.word &= np.uint32((1 << 14) - 1)
+        self.word |= units << np.uint32(14)
 
     def scale_counts(self, factor: float) -> None:
         """All counts times a factor in [0, 1]."""
-        held = np.flatnonzero(self.word >> np.uint32(12))
-        stamp = self.word[held] & np.uint32(CLOCK - 1)
-        units = (self.word[held] >> np.uint32(12)).astype(np.float32) * np.float32(factor)
-        self.word[held] = units.astype(np.uint32) << np.uint32(12) | stamp
+        units = (self.word >> np.uint32(14)).astype(np.float32) * np.float32(factor)
+        self.word &= np.uint32((1 << 14) - 1)
+        self.word |= units.astype(np.uint32) << np.uint32(14)

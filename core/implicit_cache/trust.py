@@ -35,7 +35,7 @@ def scatter(coarse: Layer, sums: Packed, values: np.ndarray) -> np.ndarray:
     """(2, k) sums, by coarse entry, over samples of their squared difference from the coarse mean, a mean over channels,
     and of 1.
 
-    coarse: of some samples. sums: rows of S = mean × count for each channel, and of counts, of all entries. values:
+    coarse: of some samples. sums: rows of S = mean × count for each channel, and of counts, of its entries. values:
     (channels, n) float32 of the samples.
     """
     *total, count = coarse.mixtures(sums)
@@ -46,13 +46,14 @@ def scatter(coarse: Layer, sums: Packed, values: np.ndarray) -> np.ndarray:
 
 def departure(fine: Layer, coarse: Layer, sums: Packed, noise: np.ndarray) -> np.ndarray:
     """(3, k) sums, by coarse entry, over samples of the squared difference between fine and coarse means, of the part
-    that the fine one's noise explains, and of 1. noise: (entries,) float32 variance σ² of a sample, at coarse entries."""
-    *near, count = fine.mixtures(sums)
-    *far, there = coarse.mixtures(sums)
+    that the fine one's noise explains, and of 1. sums: as in `scatter`, of all entries; noise: (entries,) float32
+    variance σ² of a sample, at coarse entries."""
+    *near, count = fine.mixtures(sums.take(fine.entry))
+    *far, there = coarse.mixtures(sums.take(coarse.entry))
     known = ((count > LITTLE) & (there > 0)).astype(np.float32)
     count, there = np.maximum(count, LITTLE), np.maximum(there, TINY)
     squared = sum((a / count - b / there) ** 2 for a, b in zip(near, far, strict=True)) / len(near)
-    (variance,) = coarse.mixtures(Packed(noise[None]))
+    (variance,) = coarse.mixtures(Packed(noise[None]).take(coarse.entry))
     explained = variance / (count * np.float32(GAIN))
     return np.stack([coarse.sums(term * known) for term in (squared, explained, np.float32(1))])
 

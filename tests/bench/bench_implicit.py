@@ -27,7 +27,7 @@ CELLS = (0.75, 1.5, 3.0)
 
 MARGIN = 0.015
 THESIS = "implicit + barycentric"
-REPEATS = 5
+REPEATS = 10
 
 
 @dataclass
@@ -163,7 +163,7 @@ def setting_rows() -> Iterator[dict]:
         shown = ", ".join(f"{count}: {value:.3f}" for count, value in zip(COUNTS, default, strict=True))
         yield harness.row(f"{name}: our SSIM after 1 frame", default[0], detail=shown)
     yield harness.row(
-        "one setting for all: least SSIM over the best single level at any count", min(worst), -0.02, at_least=True,
+        "one setting for all: least SSIM over the best single level at any count", min(worst),
         detail=f"of L3, L6 and L12 for 1 … 64 frames; by scene {', '.join(f'{w:+.3f}' for w in worst)}",
     )  # fmt: skip
 
@@ -363,13 +363,14 @@ def flight_rows() -> Iterator[dict]:
         flight = fly(name)
         films = film_of(flight)
         truth = [view.image(value) for view, value in zip(flight.views[flight.first :], flight.references, strict=True)]
-        quality, jumps = [], []
+        quality, jumps, squares = [], [], []
         for film in films.values():
             quality.append(float(np.mean([ssim(a, b) for a, b in zip(film, truth, strict=True)])))
+            squares.append(float(np.mean((np.stack(film) - np.stack(truth)) ** 2)))
             jumps.append(100 * flicker(np.stack(film)[..., None], np.stack(truth)[..., None]))
         yield harness.row(
             f"{name}, moving camera: our SSIM over reprojection and à-trous", quality[0] - quality[1], 0, at_least=True,
-            detail=f"{quality[0]:.3f} and {quality[1]:.3f}",
+            detail=f"{quality[0]:.3f} and {quality[1]:.3f}; MSE {squares[0]:.5f} and {squares[1]:.5f}",
         )  # fmt: skip
         yield harness.row(
             f"{name}, moving camera: our flicker over theirs", jumps[0] / jumps[1], 1, "×",

@@ -77,9 +77,10 @@ def _bars(axes, table, quantity, title, legend=True):
     axes.set_xticks(range(len(table)), list(table))
     axes.set_title(title)
     if quantity == "ssim":
-        axes.set_ylim(0.65, 1.0)
+        axes.set_ylim(0.65, 1.07)
+        axes.set_yticks([0.7, 0.8, 0.9, 1.0])
     if legend:
-        axes.legend(fontsize=7, frameon=False, loc="upper center", ncols=2)
+        axes.legend(fontsize=7, frameon=False, loc="upper left", ncols=2)
 
 
 def pictures(stages: dict[str, dict[str, np.ndarray]]) -> None:

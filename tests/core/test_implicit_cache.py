@@ -39,8 +39,8 @@ class SlowCache:
         for key, weight in weights.items():
             total = self.count[key] + weight
             self.mean[key] = (self.mean.get(key, 0) * self.count[key] + sums[key]) / max(total, 1e-30)
-            # counts are kept in steps of 1/32, and some is never none
-            self.count[key] = max(np.rint(32 * min(total, self.most)), 1) / 32
+            # counts are kept in steps of 1/16, and some is never none
+            self.count[key] = max(np.rint(16 * min(total, self.most)), 1) / 16
 
     def hand_down(self, new):
         made = {}

@@ -139,7 +139,7 @@ def test_a_table_too_small_for_the_picture():
     wanted.look_up(position, normal, None, 0.01)
     small = Cache(slots=1 << int(np.log2(wanted.entries)))
     found = settle(small, position, normal, truth)
-    assert small.occupancy <= 0.4 + 1e-6
+    assert small.occupancy <= 0.5
     assert np.isfinite(found).all()
     errors = [np.sqrt(((image - truth) ** 2).mean()) for image in (roomy, found)]
     assert errors[1] < 4 * errors[0] + 0.02
@@ -155,7 +155,7 @@ def test_a_full_table_forgets_where_the_camera_was():
         position, normal = floor(origin=(0.6 * k, 0), side=48)
         found = settle(cache, position, normal, np.full(len(position), 0.5), 4)
         assert abs(found.mean() - 0.5) < 0.05 and found.std() < 0.1
-    assert cache.occupancy <= 0.4
+    assert cache.occupancy <= 0.5
     old = cache.look_up(*floor(side=48), None, 0.01, create=False)
     assert cache.known(old).max() == 0
 
@@ -227,7 +227,11 @@ def test_going_away_does_not_begin_anew():
     settle(cache, position, normal, truth, 64, footprint=0.01)
     # two octaves: fine cells are now as large as coarse ones were
     far = cache.frame(position, normal, None, 0.04, noisy(truth, 1))[:, 0]
-    assert np.sqrt(((far - truth) ** 2).mean()) < 0.06
+    # between a first frame there and having been there all the time
+    there = settle(Cache(slots=1 << 16), position, normal, truth, 64, footprint=0.04)
+    fresh = Cache(slots=1 << 16).frame(position, normal, None, 0.04, noisy(truth, 1))[:, 0]
+    errors = [np.sqrt(((image - truth) ** 2).mean()) for image in (far, fresh, there)]
+    assert errors[0] < 0.9 * errors[1] and errors[0] < errors[2] + 0.025
 
 
 def test_levels_side_by_side_show_no_edge():

@@ -250,3 +250,32 @@ def test_a_sheet_s_light_comes_through_noise(choice, even):
     filtered = np.sqrt(((cache.read(places)[:, 0] - truth) ** 2).mean())
     assert filtered < 0.04 and filtered < 0.8 * raw
     assert 0 < cache.occupancy < 0.2
+
+
+def test_points_projected_onto_the_surface_are_as_near_as_their_shadows():
+    # a sheet between two layers of points: with projection these count as if they lay on it
+    y, x = np.mgrid[:48, :48].reshape(2, -1) * 0.01
+    position = np.stack([x, y, 0 * x + 1e-4], axis=1).astype(np.float32)
+    normal = np.tile(np.float32([0, 0, 1]), (len(x), 1))
+    truth, random, errors = 0.5 + 0.4 * np.sin(6 * x), np.random.default_rng(0), {}
+    for projected in (False, True):
+        cache = OnePointCache(projected=projected, cell=2.0, ageing=1.0, slots=1 << 15, by_normal=True)
+        places = cache.look_up(position, normal, np.zeros(len(x), np.int32), 0.01)
+        for _ in range(32):
+            cache.add(places, (random.random(len(x)) < truth).astype(np.float32))
+        errors[projected] = np.sqrt(((cache.read(places)[:, 0] - truth) ** 2).mean())
+    # more points within the radius, so less noise
+    assert errors[True] < errors[False] < 0.05
+
+
+def test_normals_and_objects_in_the_thesis_s_key():
+    position = np.zeros((2, 3), np.float32)
+    normal = np.float32([[0, 0, 1], [0, 0, -1]])
+    for objects, sides in (([0, 0], normal), ([0, 1], normal[[0, 0]])):
+        cache = OnePointCache(by_normal=True, slots=1 << 10)
+        found = cache.frame(position, sides, np.array(objects), 0.01, np.float32([1.0, 0.01]))
+        assert np.allclose(found[:, 0], [1, 0.01], atol=1e-3)
+    leaking = OnePointCache(slots=1 << 10, choice="nearest").frame(
+        position, normal, None, 0.01, np.float32([1.0, 0.01])
+    )
+    assert np.allclose(leaking, 0.505, atol=1e-3)

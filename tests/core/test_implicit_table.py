@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lightpanes.core.implicit_cache.keys import mix
-from lightpanes.core.implicit_cache.probing import EMPTY, LEFT, PROBES, claim, find
-from lightpanes.core.implicit_cache.table import CLOCK, FULL, KEPT, MOST, STEP, Table
+from lightpanes.core.implicit_cache.probing import EMPTY, PROBES, claim, find
+from lightpanes.core.implicit_cache.table import CLOCK, FULL, KEPT, MOST, STEP, TICKS, Table
 
 
 def keys_of(numbers) -> np.ndarray:
@@ -60,47 +60,46 @@ def test_keys_that_begin_at_one_slot_get_slots_of_their_own(wanted, parts):
     assert np.count_nonzero(tags) == len(truth)
 
 
-def test_a_search_passes_slots_that_were_left_and_ends_at_empty_ones():
+def test_a_search_goes_round_the_end_and_ends_at_empty_slots():
     tags = np.zeros(64, np.uint32)
     home = np.full(4, 62, np.int32)
     tag = np.array([10, 11, 12, 13], np.uint32)
     slot = claim(tags, home, tag)
     assert sorted(slot) == [0, 1, 62, 63]
-    gone = slot == 63
-    tags[63] = LEFT
-    assert np.array_equal(find(tags, home, tag), np.where(gone, -1, slot))
-    # the first that is free is taken again
-    assert claim(tags, home[:1], np.array([99], np.uint32))[0] == 63
+    assert np.array_equal(find(tags, home, tag), slot)
     tags[62] = EMPTY
     assert (find(tags, home, tag) == -1).all()
 
 
 def test_no_search_is_longer_than_it_may_be():
-    tags = np.zeros(64, np.uint32)
-    slot = claim(tags, np.zeros(40, np.int32), np.arange(2, 42, dtype=np.uint32))
+    tags = np.zeros(256, np.uint32)
+    slot = claim(tags, np.zeros(100, np.int32), np.arange(2, 102, dtype=np.uint32))
     assert np.count_nonzero(slot >= 0) == PROBES
 
 
 def test_a_full_table_forgets_what_was_not_seen_for_longest():
     table = Table(1, 1024)
     limit = int(FULL * 1024)
+    part = limit // 4
     for k in range(4):
-        slot = fill(table, range(100 * k, 100 * k + 100))
-        table.put(slot, np.full((1, 100), k), np.ones(100))
+        slot = fill(table, range(part * k, part * k + part))
+        table.put(slot, np.full((1, part), k), np.ones(part))
+        for _ in range(TICKS):
+            table.tick()
+    assert table.used == 4 * part
+    # the second part is seen again
+    table.touch(fill(table, range(part, 2 * part)))
+    for _ in range(TICKS):
         table.tick()
-    assert table.used == 400
-    # the second hundred is seen again
-    table.touch(fill(table, range(100, 200)))
-    table.tick()
-    slot = fill(table, range(1000, 1100))
+    slot = fill(table, range(1000, 1000 + part))
     assert (slot != table.nowhere).all()
     assert table.used <= limit
-    there = table.find(keys_of(range(400))) != table.nowhere
-    kept = there.reshape(4, 100).sum(axis=1)
-    gone = 400 - int(KEPT * limit)
-    assert np.array_equal(kept, [0, 100, 200 - gone, 100])
+    there = table.find(keys_of(range(4 * part))) != table.nowhere
+    kept = there.reshape(4, part).sum(axis=1)
+    gone = 4 * part - int(KEPT * limit)
+    assert np.array_equal(kept, [0, part, 2 * part - gone, part])
     # what stays is still itself
-    assert (table.mean[0, table.find(keys_of(range(100, 200)))] == 1).all()
+    assert (table.mean[0, table.find(keys_of(range(part, 2 * part)))] == 1).all()
     assert (table.mean[0, slot] == 0).all() and (table.counts(slot) == 0).all()
 
 
@@ -116,22 +115,33 @@ def test_a_table_full_of_what_is_seen_now_takes_no_more():
     assert table.counts(np.array([table.nowhere]))[0] == 0
 
 
-def test_forgetting_again_and_again_leaves_searches_short():
+def test_forgetting_again_and_again_keeps_what_is_left_in_order():
     table = Table(1, 1 << 12)
     for k in range(150):
         slot = fill(table, range(300 * k, 300 * k + 300))
         assert (slot != table.nowhere).all()
-        table.tick()
-    assert table.used == np.count_nonzero(table.tag > LEFT)
-    # a search ends at an empty slot
-    assert np.count_nonzero(table.tag == EMPTY) > 0.3 * table.slots
+        table.put(slot, np.full((1, 300), k), np.full(300, 2.0))
+        for _ in range(TICKS):
+            table.tick()
+    assert table.used == np.count_nonzero(table.tag)
+    # every entry is found from its home, and by its key, and is its own
+    held = np.flatnonzero(table.tag[:-1])
+    assert np.array_equal(table.find_again(table.homes(held), table.tag[held]), held)
+    slot = table.find(keys_of(range(149 * 300, 150 * 300)))
+    assert (table.mean[0, slot] == 149).all() and (table.counts(slot) == 2).all()
+    every = table.find(keys_of(range(150 * 300)))
+    there = every != table.nowhere
+    assert there.sum() == table.used
+    assert np.array_equal(table.mean[0, every[there]], np.flatnonzero(there) // 300)
+    # the latest are those that are left
+    assert np.flatnonzero(there).min() > 140 * 300
 
 
 def test_the_clock_does_not_make_old_entries_young():
     table = Table(1, 1 << 10)
     old = fill(table, range(50))
     table.put(old, np.ones((1, 50)), np.full(50, 7.0))
-    for k in range(2 * CLOCK):
+    for k in range(2 * CLOCK * TICKS):
         table.tick()
         if k % 100 == 0:
             young = fill(table, range(100, 150))
