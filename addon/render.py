@@ -28,6 +28,9 @@ PASSES = {
     "AO": ("use_pass_ambient_occlusion", "Ambient Occlusion", "AO", "RGB", "COLOR"),
 }
 
+PLACES = 16
+"""Places in a pixel that a render goes through, at most, where nothing but edges needs them."""
+
 SHOW_EVERY = 1.0
 """Seconds between the images that a render shows while it goes on."""
 
@@ -91,7 +94,10 @@ class LIGHTPANES_render_engine(bpy.types.RenderEngine):
             if surfaces is None:
                 _write(result, "Combined", background(eye, lighting.sky, scene.render.film_transparent))
             else:
-                settings = shown.settings_of(scene, split=bool(names))
+                # what glass and see-through surfaces do is picked anew at each place in a pixel
+                samples = scene.lightpanes.samples
+                places = max(1, min(samples, PLACES) if surfaces.is_plain else samples)
+                settings = shown.settings_of(scene, split=bool(names), places=places)
                 preview = Preview(surfaces, eye, lighting.lights, lighting.sky, settings, lighting.baked)
                 self._sample(preview, result, names, scene.lightpanes.samples)
         finally:

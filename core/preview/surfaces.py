@@ -63,6 +63,11 @@ class Surfaces:
             self._made[key] = bvh, None if len(names) == len(mask) else names.astype(np.int32)
         return self._made[key]
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether a camera's ray ends at the first surface that it meets, whichever that is."""
+        return self._clear and all(material.optics is None for material in self.scene.materials)
+
     def land(self, part, origins, directions, chance: np.ndarray | None = None, reach=None) -> Places:
         """First surfaces that rays meet; what is see-through they pass with the chance that it lets light pass.
 

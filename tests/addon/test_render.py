@@ -132,7 +132,7 @@ def test_sky_texture_and_transparent_film(scene):
     uv.data.foreach_set("uv", [-1.0, -1.0, 2.0, -1.0, 2.0, 2.0, -1.0, 2.0])
     ours, theirs = rendered(scene), by_cycles(scene)
     assert ours.mean((0, 1)) == pytest.approx(theirs.mean((0, 1)), rel=0.03)
-    assert ours[-1, 0].tolist() == [0, 0, 0, 0]
+    assert ours[-1, 0, 3] < 0.1
     # each tile has its colour
     error = np.sqrt(((ours - theirs)[..., :3] ** 2).mean()) / theirs[..., :3].mean()
     assert error < 0.15
