@@ -15,6 +15,9 @@ _BILINEAR = np.array(
 ) / np.float32(4)
 
 
+LONE = 3.0
+"""Texels that a photon is spread over, in each direction, at most, when nothing says how wide its beam is."""
+
 _AHEAD = np.array([[3, 3, -3, -3], [1, -1, 1, -1]])
 """From each corner of a quad to the one ahead of it along both sides, in the patch's numbering."""
 
@@ -80,6 +83,12 @@ def _quarters(photons, values, corner, quad, share):
             use = ~inside & exists & (photons.signature[other] == mine)
             step = np.where(use[:, None], photons.place[here] - photons.place[other], step)
             half.append(step * np.float32(0.5))
+        # a photon all of whose neighbours went elsewhere: as wide as others, so that it is no speck
+        alone = ~(half[0].any(axis=1) | half[1].any(axis=1))
+        if alone.any() and not alone.all():
+            wide = np.median(np.abs(np.concatenate(half)[np.tile(~alone, 2)]).max(axis=1))
+            for axis in (0, 1):
+                half[axis][alone, axis] = np.sign(_AHEAD[axis, k]) * min(wide, LONE)
         cell = np.repeat(values[here][None], 4, axis=0)
         cell[:, :, 2:] *= share[lands][None, :, None]
         cell[1, :, :2] += half[1]
