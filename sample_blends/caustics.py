@@ -55,7 +55,7 @@ def main() -> int:
         begin = time.perf_counter()
         panels.append(render(scene, options.samples if traced else NOISELESS, output))
         seconds.append(round(time.perf_counter() - begin, 2))
-    compose(scene, panels, output / "caustics.png", LABELS)
+    compose(scene, panels, output / "glass.png", LABELS)
     everywhere = np.ones(panels[0].shape[:2], bool)
     found = {
         "caustics": caustics.report(scene),
@@ -65,7 +65,7 @@ def main() -> int:
         "render_seconds": dict(zip(LABELS, seconds, strict=True)),
         "samples": options.samples,
     }
-    (output / "caustics.json").write_text(json.dumps(found, indent=2) + "\n", "utf-8")
+    (output / "glass.json").write_text(json.dumps(found, indent=2) + "\n", "utf-8")
     print(json.dumps(found, indent=2))
     return 0
 
