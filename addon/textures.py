@@ -13,6 +13,7 @@ import numpy as np
 from ..core.preview import Texture
 from ..core.scene import Material, Scene
 from . import materials, prepared
+from .optics import read_optics
 
 EXTENSIONS = {"REPEAT": "REPEAT", "EXTEND": "EXTEND", "CLIP": "CLIP", "MIRROR": "REPEAT"}
 LARGEST = 4096
@@ -85,7 +86,7 @@ class Textures:
                         f"Material '{name}': its {kind} varies in a way that the preview shows {shown}."
                     )
             colours = {kind: tuple(float(v) for v in np.broadcast_to(value, 3)) for kind, value in values.items()}
-            made.append(Material(name, mapped=mapped, **colours))
+            made.append(Material(name, mapped=mapped, optics=read_optics(material, []), **colours))
         scene.materials = tuple(made)
         return textures
 

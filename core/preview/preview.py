@@ -119,8 +119,12 @@ class Preview:
         if self.settings.cached:
             coarse = Cache(3, fine=COARSE, coarse=None, slots=1 << 18, seed=self.settings.seed)
         self._span = 0.0
-        self._lamps = Lamps(lights, surfaces.tracer, self._bounds)
+        self._lamps = self._make_lamps(lights)
         self._tracer = PathTracer(surfaces, self._lamps, sky, baked, coarse, self.settings.seed)
+
+    def _make_lamps(self, lights):
+        focused = self.baked is not None and self.baked.caustics is not None
+        return Lamps(lights, self.surfaces.shadows(focused), self._bounds)
 
     def _make_cache(self):
         channels = sum(self._channels.values())
@@ -142,7 +146,7 @@ class Preview:
     def light(self, lights: Sequence[Light], sky: Sky | None, baked: Baked | None = None) -> None:
         """Light the scene otherwise: what is cached counts for little from now on."""
         self.sky, self.baked = sky, baked
-        self._lamps = Lamps(lights, self.surfaces.tracer, self._bounds)
+        self._lamps = self._make_lamps(lights)
         self._tracer = PathTracer(self.surfaces, self._lamps, sky, baked, self._tracer.coarse, self.settings.seed)
         for cache in (self._cache, self._tracer.coarse):
             if cache is not None:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..caustics import casters
 from ..rays import LAYERS, Bvh, Tracer
 from ..scene import Scene
 from ..surface.samples import unit
@@ -48,9 +49,19 @@ class Surfaces:
         self.see_through = self.transmission.see_through
         self._clear = not self.see_through.any()
         owner = scene.triangle_object
+        self._blocking: Tracer | None = None
         self._made: dict[bytes, tuple[Bvh, np.ndarray | None]] = {}
         self.seen = self._bvh(np.array([o.seen for o in scene.objects], bool)[owner])
         self.reflecting = self._bvh(np.array([o.reflects for o in scene.objects], bool)[owner])
+
+    def shadows(self, focused: bool) -> Tracer:
+        """Shadow rays. focused: mirrors and glass stop them, since the light that these focus is known (`Baked`)."""
+        found = casters(self.scene) if focused else None
+        if found is None:
+            return self.tracer
+        if self._blocking is None:
+            self._blocking = Tracer(self.scene, solid=found.triangles).alone()
+        return self._blocking
 
     def _bvh(self, mask):
         """Hierarchy over the triangles of a mask, and their numbers, None where these are all."""

@@ -245,6 +245,24 @@ def test_a_bake_is_read_where_there_is_one():
     assert (preview.image("AO") == 1).all()
 
 
+def test_light_through_glass_counts_once():
+    # a bake that shows what glass focuses brings all the light that comes through it
+    pane = (*shapes.quad((-3, -3, 1), (6, 0, 0), (0, 6, 0)), 1)
+    lit = (*shapes.quad((-1, -1, 0), (2, 0, 0), (0, 2, 0)), 0)
+    clear = Material("Glass", (0, 0, 0), transmission=(1, 1, 1), optics=Optics(glass=(1, 1, 1), gloss=(1, 1, 1)))
+    scene = shapes.scene(
+        lit, pane, materials=(Material("Floor", (0.5, 0.5, 0.5)), clear), lights=[shapes.lamp((0, 0, 2))]
+    )
+    camera = Camera.from_lens(looking((0, -2, 0.5), (0, 0, 0)), 24, 16)
+    black = np.zeros((8, 8, 3), np.float32)
+    means = []
+    for caustics in (None, black):
+        preview = Preview(Surfaces(scene), camera, scene.lights, None, Settings(), Baked(black, None, caustics))
+        preview.frame()
+        means.append(preview.image("Diffuse Direct").mean())
+    assert means[0] > 0.1 and means[1] == 0
+
+
 def test_transparent_film_and_nothing_at_all():
     camera = Camera.from_lens(looking((0, -4, 0), (0, 0, 0)), 24, 16)
     scene = shapes.scene((*shapes.box((-0.3, -0.3, -0.3), (0.3, 0.3, 0.3)), 0))
