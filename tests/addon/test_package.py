@@ -120,6 +120,14 @@ def test_the_zip_holds_what_belongs(archive):
     assert wheel.startswith("wheels/embreex-") and f"-cp{PYTHON.replace('.', '')}-" in wheel
 
 
+def test_every_folder_of_the_core_is_installed():
+    listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
+    folders = {ROOT / part for part in ("addon", "core")} | {
+        path.parent for path in (ROOT / "core").rglob("__init__.py")
+    }
+    assert listed == {"lightpanes"} | {f"lightpanes.{'.'.join(path.relative_to(ROOT).parts)}" for path in folders}
+
+
 def test_links_of_readme_and_manual_lead_to_files_in_the_zip(archive):
     for page in ("README.md", "docs/manual.md"):
         links = re.findall(r"\]\((?!https?:)([^)#]+)\)", read(archive, page))
