@@ -114,7 +114,9 @@ def _follow(s: Surfaces, o, d, first, family, bounces) -> Landed:
         through = None
         passing = np.flatnonzero(~gone & (kind == PASSES))
         if len(passing):
-            through, parted, splits = _share(s, result, rows, passing, hits, ahead, met, power, kind, splits, family, highest)
+            through, parted, splits = _share(
+                s, result, rows, passing, hits, ahead, met, power, kind, splits, family, highest
+            )
         own = splits >= highest[rows]
         if gone.any():
             out = gone & met & own

@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lightpanes.core.caustics import CausticAtlas, casters
-from lightpanes.core.lights import irradiance
 from lightpanes.core.rays import Tracer
 from lightpanes.core.scene import Material, Optics
 
-from .caustic_scenes import BLACK, MIRROR, ball, closed, floor, floor_places, glass, panel, staged, within
+from .caustic_scenes import BLACK, ball, closed, floor, floor_places, glass, panel, staged, within
 from .shapes import GREY, lamp
 
 WINDOW = Material(
@@ -37,7 +36,9 @@ def test_shadow_rays_carry_what_a_caster_lets_straight_on():
     energy = atlas.energy(light)
     met = energy.escaped / 0.2
     assert energy.absorbed == 0 and energy.untraced == 0
-    assert np.isclose(closed(energy), 1, atol=0.002) and np.isclose(energy.emitted - energy.missed, 0.2 * met, rtol=0.01)
+    assert np.isclose(closed(energy), 1, atol=0.002) and np.isclose(
+        energy.emitted - energy.missed, 0.2 * met, rtol=0.01
+    )
 
 
 def test_photons_go_on_through_a_window():
@@ -65,8 +66,9 @@ def test_a_textured_floor_is_lit_and_a_curtain_lets_its_part_on(mapped):
     expected = alone.image([light])[..., 0]
     cloth = replace(GREY, transmission=(0.5,) * 3)
     p, t, uv = floor()[1:4]
+    raised = p + np.array([0, 0, 0.02])
     half = staged(
-        ("Floor", p, t, uv / [2, 1], None, 0), ball_, ("Cloth", p + [0, 0, 0.02], t, uv / [2, 1] + [0.5, 0], None, 2),
+        ("Floor", p, t, uv / [2, 1], None, 0), ball_, ("Cloth", raised, t, uv / [2, 1] + [0.5, 0], None, 2),
         materials=(replace(GREY, mapped=mapped), glass(), replace(cloth, mapped=mapped)), lights=[light],
     )  # fmt: skip
     if mapped:
@@ -104,3 +106,23 @@ def test_a_sheet_of_glass_spoils_no_glass_behind_it():
         peaks[name] = lit(staged(*parts, materials=(GREY, glass()), lights=[sun])).max()
     assert np.isclose(peaks["up"], 0.96 * peaks["none"], rtol=0.03)
     assert np.isclose(peaks["down"], 0.96 * peaks["none"], rtol=0.03)
+
+
+# ---- receivers ----
+
+
+def test_a_scene_lit_at_its_vertices_alone_has_landings():
+    """No texel shows them, but the panes' entries want to know where they are."""
+    light = lamp((0.3, 0.1, 2.2))
+    scene = staged(floor(), ball((0, 0, 0.7), 0.4, 24), materials=(GREY, glass()), lights=[light])
+    shown = CausticAtlas(scene, 32)
+    shown.image([light])
+    expected = shown.landings(light).power.sum()
+    for uv in (True, False):
+        scene.objects = (replace(scene.objects[0], at_vertices=True), scene.objects[1])
+        if not uv:
+            scene.atlas_uv[:] = np.nan
+        atlas = CausticAtlas(scene, 32)
+        assert not atlas.image([light])[..., :3].any()
+        assert np.isclose(atlas.landings(light).power.sum(), expected, rtol=0.03)
+        assert np.isclose(closed(atlas.energy(light)), 1, atol=0.005)
