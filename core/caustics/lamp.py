@@ -211,9 +211,11 @@ class LampCaustics:
             for k, family in enumerate(chosen):
                 # the weaker ways from a quarter of the points, each of which gets as many photons more
                 step = FEWER if family and len(squares) >= 4 * FEWER else 1
+                some = squares[step // 2 :: step]
+                part = len(squares) / len(some)
                 self._trees += [
-                    Tree(replace(square, share=square.share * step), int(caster), int(family), unfollowed[k])
-                    for square in squares[step // 2 :: step]
+                    Tree(replace(square, share=square.share * part), int(caster), int(family), unfollowed[k])
+                    for square in some
                 ]
         self._power = None
         if not self._trees:
