@@ -5,8 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lightpanes.core.caustics import CausticAtlas, casters
+from lightpanes.core.caustics.lamp import LampCaustics
+from lightpanes.core.caustics.receivers import Receivers
+from lightpanes.core.caustics.surfaces import Surfaces
 from lightpanes.core.rays import Tracer
-from lightpanes.core.scene import Material, Optics
+from lightpanes.core.scene import Light, Material, Optics
 
 from .caustic_scenes import BLACK, ball, closed, floor, floor_places, glass, panel, staged, within
 from .shapes import GREY, lamp
@@ -126,3 +129,34 @@ def test_a_scene_lit_at_its_vertices_alone_has_landings():
         assert not atlas.image([light])[..., :3].any()
         assert np.isclose(atlas.landings(light).power.sum(), expected, rtol=0.03)
         assert np.isclose(closed(atlas.energy(light)), 1, atol=0.005)
+
+
+# ---- lamps ----
+
+
+@pytest.mark.parametrize("points", [16, 17, 18, 19])
+def test_weaker_families_have_all_of_the_lamp_s_power(points):
+    """They start from every fourth of its points, whatever their number."""
+    light = lamp((0.3, 0.1, 2.2), radius=0.1)
+    scene = staged(floor(), ball((0, 0, 0.7), 0.4, 32), materials=(GREY, glass()), lights=[light])
+    found = casters(scene)
+    photons = LampCaustics(light, Surfaces(scene, found), Receivers(scene, 32), 40_000)
+    photons._plant(points, 2_500)
+    shares = {}
+    for tree in photons._trees:
+        shares[tree.family] = shares.get(tree.family, 0.0) + tree.emitter.share
+    assert len(shares) > 2 and np.allclose(list(shares.values()), shares[0])
+
+
+@pytest.mark.parametrize("spread", [1.2, 0.2, 0.05, 0.02])
+def test_a_narrow_soft_box_sends_all_its_light(spread):
+    """Upwards into a mirror that takes all of it: 1 W is accounted for, and lands."""
+    matrix = np.diag([1.0, -1, -1, 1])
+    matrix[:3, 3] = (0.2, -0.1, 1)
+    light = Light("Box", "AREA", matrix, 100.0, size=(0.3, 0.3), spread=spread)
+    scene = staged(floor(4), panel((-3, -3, 2), (0, 6, 0), (6, 0, 0)), lights=[light])
+    atlas = CausticAtlas(scene, 64)
+    atlas.image([light], 10_000)
+    energy = atlas.energy(light)
+    assert np.isclose(energy.emitted, 1, atol=0.02) and np.isclose(closed(energy), 1, atol=0.02)
+    assert np.isclose(energy.landed, 1, atol=0.02)
