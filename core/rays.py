@@ -125,9 +125,13 @@ class Bvh:
 
 
 class Transmission:
-    """What each triangle lets straight through: constants, or the scene's map where it has one."""
+    """What each triangle lets straight through: constants, or the scene's map where it has one.
 
-    def __init__(self, scene: Scene):
+    solid: (T,) bool, triangles that mirror or refract what their map or transmission stands for; they let through what
+    is `clear` in their optics alone.
+    """
+
+    def __init__(self, scene: Scene, solid: np.ndarray | None = None):
         self.scene = scene
         constant = np.array([m.transmission for m in scene.materials], np.float32)
         mapped = np.array([m.mapped for m in scene.materials], bool)
@@ -135,6 +139,10 @@ class Transmission:
         self.mapped = np.zeros(len(scene.triangles), bool)
         if scene.transmission_map is not None:
             self.mapped = mapped[scene.triangle_material] & np.isfinite(scene.atlas_uv).all((1, 2))
+        if solid is not None:
+            clear = np.array([m.optics.clear if m.optics else (0.0, 0.0, 0.0) for m in scene.materials], np.float32)
+            self.value[solid] = clear[scene.triangle_material[solid]]
+            self.mapped &= ~solid
         self.see_through = self.value.any(axis=1) | self.mapped
         self.tinted = bool(np.ptp(self.value, axis=1).any()) or (
             scene.transmission_map is not None and bool(np.ptp(scene.transmission_map, axis=2).max() > 1e-3)
@@ -163,18 +171,16 @@ def sample_map(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
 class Tracer:
     """Shadow rays of a scene.
 
-    solid: (T,) bool, triangles that block them though their material lets light straight on: those of the casters, where
-    caustics show the light that goes through them (`caustics.casters`).
+    solid: (T,) bool, triangles that let on what is `clear` in their optics alone, though their material lets more straight
+    on: those of the casters, where caustics show the light that they mirror and refract (`caustics.casters`).
     offset: m; lift origins off their surface by this much along the geometric normal.
     """
 
     def __init__(self, scene: Scene, threads: int | None = None, solid: np.ndarray | None = None):
         self.threads = threads
         casts = np.array([o.casts_shadow for o in scene.objects], bool)[scene.triangle_object]
-        self.transmission = Transmission(scene)
+        self.transmission = Transmission(scene, solid)
         see_through = self.transmission.see_through
-        if solid is not None:
-            see_through = see_through & ~solid
         self.scene = scene
         self._opaque = np.flatnonzero(casts & ~see_through)
         self._solid = Bvh(scene.positions, scene.triangles[self._opaque])

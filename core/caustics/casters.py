@@ -20,8 +20,8 @@ class Casters:
     """Objects that cast caustics.
 
     objects: their names. index: (k,) int32 of them among the scene's objects. triangles: (T,) bool, those of the
-    scene's triangles that mirror or refract; they block the lamps' shadow rays where caustics are on, or light through
-    glass would count twice (`rays.Tracer`, solid).
+    scene's triangles that mirror or refract; they block the lamps' shadow rays where caustics are on, but for what is
+    clear in their optics, or light through glass would count twice (`rays.Tracer`, solid).
     """
 
     objects: tuple[str, ...]

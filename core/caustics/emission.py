@@ -210,7 +210,7 @@ def _towards(light, points, origin, share, lens=None, reach=0.0):
                 vectors = shifted / np.linalg.norm(shifted, axis=1, keepdims=True)
         low, high = _rectangle(_project(axes, vectors))
     low, high = np.maximum(low, -2.0), np.minimum(high, 2.0)
-    if light.kind == "SPOT":
+    if light.kind == "SPOT" or (light.kind == "AREA" and light.spread < np.pi):
         cone = _cone(light, axes)
         if cone is not None:
             low, high = np.maximum(low, cone[0]), np.minimum(high, cone[1])
@@ -220,8 +220,8 @@ def _towards(light, points, origin, share, lens=None, reach=0.0):
 
 
 def _cone(light, axes):
-    """The rectangle of a spot's cone in the projection, None where the cone is too wide to have one."""
-    slope = np.tan(min(light.spot_angle / 2, 1.5707))
+    """The rectangle of the cone of a spot or a soft box in the projection, None where it is too wide to have one."""
+    slope = np.tan(min((light.spot_angle if light.kind == "SPOT" else light.spread) / 2, 1.5707))
     own = light.matrix[:3, :3] / np.linalg.norm(light.matrix[:3, :3], axis=0)
     turn = np.linspace(0, 2 * np.pi, 64, endpoint=False)[:, None]
     rim = slope * (light.size[0] * np.cos(turn) * own[:, 0] + light.size[1] * np.sin(turn) * own[:, 1]) - own[:, 2]

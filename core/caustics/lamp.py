@@ -55,7 +55,7 @@ class Energy:
     """Where the light goes that a lamp of unit power sends towards the casters, W (a sun's: of 1 W/m²).
 
     emitted = landed + absorbed + escaped + missed + untraced, but for what the photons' grid rounds. missed: passed the
-    casters by. untraced: what paths carry that were not followed. Means over the channels.
+    casters by, was stopped before them, or went straight on through what is clear in them. untraced: what paths carry that were not followed. Means over the channels.
     """
 
     emitted: float
@@ -188,8 +188,8 @@ class LampCaustics:
         # every family of an object starts from the same light
         squares = [t.emitter for t in self._trees if t.family == 0]
         emitted = sum(e.emitted() for e in squares)
-        absorbed, escaped, untraced, missed = (float(v) for v in rest[:4])
-        return Energy(emitted, landed, absorbed, escaped, missed, untraced)
+        absorbed, escaped, untraced, missed, twice = (float(v) for v in rest)
+        return Energy(emitted, landed - twice, absorbed, escaped, missed, untraced)
 
     def landings(self) -> Landings:
         return landings_of(self._forest) if self._trees else none()
@@ -211,9 +211,11 @@ class LampCaustics:
             for k, family in enumerate(chosen):
                 # the weaker ways from a quarter of the points, each of which gets as many photons more
                 step = FEWER if family and len(squares) >= 4 * FEWER else 1
+                some = squares[step // 2 :: step]
+                part = len(squares) / len(some)
                 self._trees += [
-                    Tree(replace(square, share=square.share * step), int(caster), int(family), unfollowed[k])
-                    for square in squares[step // 2 :: step]
+                    Tree(replace(square, share=square.share * part), int(caster), int(family), unfollowed[k])
+                    for square in some
                 ]
         self._power = None
         if not self._trees:
@@ -263,9 +265,9 @@ class LampCaustics:
         position += (corners[:, 2] - corners[:, 0]) * found.v[:, None]
         normal = np.where(found.back[:, None], -surfaces.flat[triangle], surfaces.flat[triangle])
         base = self._family[tree] == 0
-        tallies = np.stack(
-            [found.absorbed * power, found.escaped * power, untraced * power, (base & (found.path == 0)) * power], 1
-        )
+        missed = base * np.where(found.path == 0, np.float32(1), found.past)
+        told = (found.absorbed, found.escaped, untraced, missed, found.twice)
+        tallies = np.stack([part * power for part in told], 1)
         rest = np.concatenate([position, normal, tallies], axis=1).astype(np.float32)
         landed = (found.carried * power).T.copy()
         # just inside an outline all light is reflected, in a strip that a coarse grid may miss

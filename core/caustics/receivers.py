@@ -25,8 +25,10 @@ class Receivers:
     """Texels that show caustics.
 
     resolution: texels a side. area: (resolution²,) float64 m² of surface whose light each texel gets, 0 off the charts.
-    fill: (resolution²,) int64 texel that each shows, −1 where there is no surface near. inner: (resolution²,) bool, texels
+    fill: (resolution²,) int32 texel that each shows, −1 where there is no surface near. inner: (resolution²,) bool, texels
     whose neighbours all belong to the same chart. chart: (T,) int32 of each triangle, 0 without a place in the atlas.
+
+    Raises SceneError where nothing is lit, neither texels nor vertices; without texels light lands, and nothing shows it.
     """
 
     def __init__(self, scene: Scene, resolution: int, own: np.ndarray | None = None):
@@ -43,13 +45,14 @@ class Receivers:
         self.chart[rows] = 1 + charts(scene.positions[scene.triangles[rows]], scene.atlas_uv[rows])
         self._owner = np.zeros(resolution * resolution, np.int32)
         self._owner[texels.index] = self.chart[texels.samples.triangle]
-        self.area = self._areas(scene, rows, texels)
+        self.area, full = self._areas(scene, rows, texels)
         self._owner[self.area <= 0] = 0
-        self._home = self._homes(texels.index)
+        self._home = self._homes(texels.index, full)
         own_home = self._home[texels.index] == texels.index
         self.texels = texels.keep(np.flatnonzero((self.area[texels.index] > 0) & own_home))
         fill = self.texels.fill()
-        self.fill = np.where(fill < 0, -1, self.texels.index[fill])
+        # −1 names the added one
+        self.fill = np.append(self.texels.index, np.int32(-1))[fill]
         # whose neighbours all belong to the same chart
         self.inner = self._owner > 0
         for near in _neighbours(self._owner, resolution):
@@ -70,21 +73,24 @@ class Receivers:
         """(resolution², c) float32 W/m² of the power, (resolution², c), that landed at each texel; filled beyond charts."""
         size = len(self.area)
         area = np.bincount(self._home, self.area, size)
-        shared = np.stack([np.bincount(self._home, channel, size) for channel in power.T], 1)
-        lit = (shared / np.where(area > 0, area, np.inf)[:, None]).astype(np.float32)
-        return np.where(self.fill[:, None] >= 0, lit[self.fill], np.float32(0))
+        area = np.where(area > 0, area, np.inf)
+        lit = np.zeros(power.shape, np.float32)
+        for k, channel in enumerate(power.T):
+            shared = (np.bincount(self._home, channel, size) / area).astype(np.float32)
+            lit[:, k] = np.where(self.fill >= 0, shared[self.fill], np.float32(0))
+        return lit
 
-    def _homes(self, index):
-        """(resolution²,) int64 texel with which each shares its light: itself, or a neighbour on the same chart where only
+    def _homes(self, index, full):
+        """(resolution²,) int32 texel with which each shares its light: itself, or a neighbour on the same chart where only
         a small part of it is surface."""
         size = self.resolution
-        home = np.arange(size * size)
+        home = np.arange(size * size, dtype=np.int32)
         part = np.zeros(size * size)
-        part[index] = self.area[index] / self._full[index]
+        part[index] = self.area[index] / full[index]
         best = np.where(part >= HALF, np.inf, np.maximum(part, HALF))
         for near, at, owner in zip(
             _neighbours(part, size),
-            _neighbours(np.arange(size * size), size),
+            _neighbours(home.copy(), size),
             _neighbours(self._owner, size),
             strict=True,
         ):
@@ -93,6 +99,7 @@ class Receivers:
         return home
 
     def _areas(self, scene, rows, texels):
+        """(resolution²,) m² of surface that lies in each texel, and that would if all of it were surface."""
         size = self.resolution
         flat = scene.atlas_uv[rows].astype(np.float64) * size
         edge, other = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
@@ -103,7 +110,7 @@ class Receivers:
         spread[rows] = world / np.maximum(covered, 1e-12)
         area = np.zeros(size * size)
         area[texels.index] = spread[texels.samples.triangle]
-        self._full = np.maximum(area, 1e-300)
+        full = np.maximum(area, 1e-300)
         whole = np.zeros(size * size, bool)
         whole[texels.index[texels.centred]] = True
         inner = whole.copy()
@@ -111,7 +118,7 @@ class Receivers:
             inner &= also & (near == self._owner)
         border = np.flatnonzero((self._owner > 0) & ~inner)
         if not len(border):
-            return area
+            return area, full
         # those beside the border lend it what their samples spill over
         near = np.zeros(size * size, bool)
         near[border] = True
@@ -136,9 +143,8 @@ class Receivers:
         half = np.full(hit.sum(), 0.5, np.float32)
         sums = np.zeros((size * size, 1))
         box_samples(sums, *places[hit].T, half, half, part.astype(np.float32), size)
-        full = area[border]
-        area[border] = np.where(sums[border, 0] > SLIVER * full, sums[border, 0], 0)
-        return area
+        area[border] = np.where(sums[border, 0] > SLIVER * area[border], sums[border, 0], 0)
+        return area, full
 
 
 def _neighbours(values: np.ndarray, size: int):

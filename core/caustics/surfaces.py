@@ -8,7 +8,7 @@ from ..rays import Bvh, Transmission
 from ..scene import Light, Scene
 from .casters import Casters
 from .emission import bounding_points, extreme_points
-from .groups import smooth_groups
+from .groups import encloses, smooth_groups
 
 LANDS, PASSES, BENDS = 0, 1, 2
 """What a triangle does to a photon: it scatters it diffusely, lets it straight on, or mirrors and refracts it."""
@@ -21,7 +21,8 @@ class Surfaces:
     """A scene as photons see it.
 
     bvh: of all triangles. kind: (T,) uint8. object, group: (T,) int32, group is the smooth surface. flat: (T, 3) float32
-    unit geometric normal, outwards as shading has it. ghost: (T,) bool, lamps shine through (no shadow).
+    unit geometric normal, outwards as shading has it. ghost: (T,) bool, lamps shine through (no shadow). scatters: (T,)
+    bool, has an albedo. clears: whether any caster lets some light straight on.
     channels: 1 where nothing that photons meet has a colour, else 3.
     """
 
@@ -32,7 +33,12 @@ class Surfaces:
         self.casters = found.index
         casts = np.array([o.casts_shadow for o in scene.objects], bool)
         self.ghost = ~casts[self.object]
-        self.transmission = Transmission(scene)
+        self.transmission = Transmission(scene, found.triangles)
+        # casters that also let light straight on
+        self.clears = bool(self.transmission.see_through[found.triangles].any())
+        # what passes light on in part and scatters the rest shows it too
+        scatters = np.array([m.mapped or max(m.albedo) > 0 for m in scene.materials], bool)
+        self.scatters = scatters[scene.triangle_material]
         self.kind = np.where(self.transmission.see_through, PASSES, LANDS).astype(np.uint8)
         self.kind[found.triangles] = BENDS
         self.flat = _outward(scene)
@@ -77,6 +83,10 @@ class Surfaces:
         material = self.scene.triangle_material[triangle]
         return tuple(table.take(material, axis=1) for table in self._tables)
 
+    def through(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(channels, n) float32: the part of light that goes straight on at barycentric places of triangles."""
+        return np.ascontiguousarray(self.transmission.at(triangle, u, v).T[: self.channels])
+
     def inside(self, mask: np.ndarray) -> np.ndarray:
         """(n,) int number of the medium that fills a place inside all objects of a mask (n,) int64; 0 is air.
 
@@ -101,7 +111,8 @@ class Surfaces:
             # what lets nothing in has no inside, but what it reflects depends on its index
             optics = glassy[0] if glassy else scene.materials[used[0]].optics
             self.own_ior[k] = optics.ior
-            if not glassy:
+            # rays that enter a sheet never leave it: it has no inside either
+            if not glassy or not encloses(corners[owners == k]):
                 continue
             number = min(number + 1, MEDIA)
             self.bit[k] = 1 << (number - 1)

@@ -1,8 +1,11 @@
 """Photons followed through mirrors and glass until they land.
 
-At every surface that both reflects and refracts the light splits in two. A *family* of paths says which part is
-followed: bit i of its number is set where the i-th split on the way reflects. 0 is refracted everywhere, 1 is the outer
-reflection, 2 is reflected once inside, and so on. All families together are all light, and no path is in two of them.
+At every surface that both reflects and refracts the light splits in two, and so it does at one that scatters a part of
+it and lets the rest on. A *family* of paths says which part is followed: bit i of its number is set where the i-th split
+on the way reflects or scatters. 0 goes on everywhere, 1 is the outer reflection, 2 is reflected once inside, and so on.
+All families together are all light, and no path is in two of them.
+
+What a caster lets straight on beside its lobes (`Optics.clear`) shadow rays carry up to the first of them; photons don't.
 """
 
 from __future__ import annotations
@@ -24,6 +27,9 @@ BOUNCES = 16
 SPLITS = 8
 """Splits whose other part can be told apart; a later one's counts for the last."""
 
+OPAQUE = 1e-3
+"""Part of the light that a surface must let on to count as see-through, and scatter to count as more than a pane."""
+
 LEAST = 1e-6
 """Part of its power below which a photon is dropped, and told as untraced."""
 
@@ -38,7 +44,9 @@ class Landed:
     the reverse. carried: (c, n) float32 part of the power that landed. path: (n,) int64 what happened on the way, 0 where
     the caster was missed. absorbed, escaped: (n,) float32 parts of the power, mean of the channels, after the family's
     own way began. left: (SPLITS, n) float32 what other families take at each split; lost: (n,) what was not followed to
-    its end.
+    its end. past: (n,) float32 what never met a caster's lobes, of photons that met one: it went straight on there, or
+    was stopped before. twice: (n,) float32 part of what is carried that the surface lets on as well: it shines there as
+    on any other, its albedo is smaller.
     """
 
     triangle: np.ndarray
@@ -51,6 +59,8 @@ class Landed:
     escaped: np.ndarray
     lost: np.ndarray
     left: np.ndarray
+    past: np.ndarray
+    twice: np.ndarray
 
 
 def trace(
@@ -81,6 +91,7 @@ def _follow(s: Surfaces, o, d, first, family, bounces) -> Landed:
         triangle=np.full(n, -1, np.int32), u=np.zeros(n, np.float32), v=np.zeros(n, np.float32), back=np.zeros(n, bool),
         carried=np.zeros((c, n), np.float32), path=np.zeros(n, np.int64), absorbed=np.zeros(n, np.float32),
         escaped=np.zeros(n, np.float32), lost=np.zeros(n, np.float32), left=np.zeros((SPLITS, n), np.float32),
+        past=np.zeros(n, np.float32), twice=np.zeros(n, np.float32),
     )  # fmt: skip
     # events count from the split on at which the family leaves the one that it branches off from
     highest = np.frexp(family.astype(np.float64))[1]
@@ -95,12 +106,21 @@ def _follow(s: Surfaces, o, d, first, family, bounces) -> Landed:
         tri = hits.triangle
         kind = np.where(tri >= 0, s.kind[tri], LANDS)
         gone = tri < 0
+        ahead = ~met & ~gone & s.ghost[tri]
+        kind[ahead] = PASSES
+        if s.clears and not met.all():
+            # on the way to the object that is meant, others let on what they let shadow rays
+            kind[~met & (kind == BENDS) & (s.object[tri] != first[rows]) & s.transmission.see_through[tri]] = PASSES
+        through = None
+        passing = np.flatnonzero(~gone & (kind == PASSES))
+        if len(passing):
+            through, parted, splits = _share(
+                s, result, rows, passing, hits, ahead, met, power, kind, splits, family, highest
+            )
         own = splits >= highest[rows]
         if gone.any():
             out = gone & met & own
             result.escaped[rows[out]] += power[:, out].mean(axis=0)
-        ahead = ~met & ~gone & s.ghost[tri]
-        kind[ahead] = PASSES
         lands = ~gone & (kind == LANDS) & met & own
         at = rows[lands]
         result.triangle[at], result.u[at], result.v[at] = tri[lands], hits.u[lands], hits.v[lands]
@@ -110,6 +130,8 @@ def _follow(s: Surfaces, o, d, first, family, bounces) -> Landed:
         if inner.any():
             lit = _dimmed(s, result, at, lit, inner, distance, True)
         result.carried[:, at] = lit
+        if through is not None:
+            result.twice[at] = (lit * through[:, lands]).mean(axis=0)
         stays = ~gone & (kind != LANDS)
         if not met.all():
             stays &= met | (kind == PASSES) | (s.object[tri] == first[rows])
@@ -133,32 +155,18 @@ def _follow(s: Surfaces, o, d, first, family, bounces) -> Landed:
         passing = np.flatnonzero(kind == PASSES)
         if len(passing):
             o, power, path = _pass(
-                s,
-                result,
-                rows,
-                o,
-                d,
-                power,
-                mask,
-                path,
-                met,
-                ahead,
-                tri,
-                u,
-                v,
-                distance,
-                passing,
-                splits >= highest[rows],
-            )
+                s, result, rows, o, d, power, mask, path, met, tri, distance, passing, splits >= highest[rows],
+                through[:, keep[passing]], parted[keep[passing]],
+            )  # fmt: skip
         if len(bends) == len(rows):
             o, d, power, mask, splits, path = _bend(
-                s, result, rows, d, power, mask, splits, path, tri, u, v, distance, family, highest
+                s, result, rows, d, power, mask, splits, path, met, tri, u, v, distance, family, highest
             )
             met = np.ones(len(rows), bool)
         elif len(bends):
             some = _bend(
-                s, result, rows[bends], d[:, bends], power[:, bends], mask[bends], splits[bends], path[bends], tri[bends],
-                u[bends], v[bends], distance[bends], family, highest,
+                s, result, rows[bends], d[:, bends], power[:, bends], mask[bends], splits[bends], path[bends], met[bends],
+                tri[bends], u[bends], v[bends], distance[bends], family, highest,
             )  # fmt: skip
             o[:, bends], d[:, bends], power[:, bends] = some[:3]
             mask[bends], splits[bends], path[bends] = some[3:]
@@ -184,16 +192,42 @@ def _dimmed(s, result, at, power, inner, distance, own):
     return passed
 
 
-def _pass(s, result, rows, o, d, power, mask, path, met, ahead, tri, u, v, distance, some, own):
-    """Straight on through see-through surfaces."""
-    through = s.transmission.at(tri[some], u[some], v[some]).T[: s.channels]
-    through = np.where(ahead[some], _F(1), through)
+def _share(s, result, rows, passing, hits, ahead, met, power, kind, splits, family, highest):
+    """What see-through surfaces let on at hits `passing`: (c, n) float32, 0 elsewhere; (n,) bool, where the family leaves
+    to others what is scattered; and the splits so far. Where it is to land, `kind` says so."""
+    parted = np.zeros(len(rows), bool)
+    through = np.zeros(power.shape, np.float32)
+    triangle = hits.triangle[passing]
+    part = s.through(triangle, hits.u[passing], hits.v[passing])
+    part[:, ahead[passing]] = 1
+    through[:, passing] = part
+    most = part.max(axis=0)
+    # of a map, most of which may be opaque
+    kind[passing[most <= OPAQUE]] = LANDS
+    split = passing[(most > OPAQUE) & (most < 1 - OPAQUE) & met[passing] & s.scatters[triangle]]
+    if not len(split):
+        return through, parted, splits
+    splits = splits.copy()
+    wanted = (family[rows[split]] >> np.minimum(splits[split], 62)) & 1 == 1
+    kind[split[wanted]] = LANDS
+    on = split[~wanted]
+    parted[on] = True
+    rest = np.where(splits[on] >= highest[rows[on]], (power[:, on] * (1 - through[:, on])).mean(axis=0), 0)
+    result.left[np.minimum(splits[on], SPLITS - 1), rows[on]] += rest
+    splits[split] += 1
+    return through, parted, splits
+
+
+def _pass(s, result, rows, o, d, power, mask, path, met, tri, distance, some, own, through, parted):
+    """Straight on through see-through surfaces, which let on `through`, (c, k)."""
     lit = power[:, some]
     inner = s.inside(mask[some])
     if inner.any():
         lit = _dimmed(s, result, rows[some], lit, inner, distance[some], own[some] & met[some])
     passed = lit * through
-    result.absorbed[rows[some]] += np.where(own[some] & met[some], (lit - passed).mean(axis=0), 0)
+    stopped = np.where(own[some] & ~parted, (lit - passed).mean(axis=0), 0)
+    result.absorbed[rows[some]] += np.where(met[some], stopped, 0)
+    result.past[rows[some]] += np.where(met[some], 0, stopped)
     o, power, path = o.copy(), power.copy(), path.copy()
     power[:, some] = passed
     o[:, some] += d[:, some] * (distance[some] + s.offset)
@@ -201,7 +235,7 @@ def _pass(s, result, rows, o, d, power, mask, path, met, ahead, tri, u, v, dista
     return o, power, path
 
 
-def _bend(s, result, rows, d, power, mask, splits, path, tri, u, v, distance, family, highest):
+def _bend(s, result, rows, d, power, mask, splits, path, met, tri, u, v, distance, family, highest):
     """One event on smooth surfaces: the new origins, directions, powers, media, splits and paths."""
     shape = s.shape(tri)
     place = shape[0:3] + shape[3:6] * u + shape[6:9] * v
@@ -225,13 +259,27 @@ def _bend(s, result, rows, d, power, mask, splits, path, tri, u, v, distance, fa
     own = splits >= highest[rows]
     if before.any() and s.absorption.any():
         power = _dimmed(s, result, rows, power, before, distance, own)
-    behind_ior = np.where(enters & (bit == 0), s.own_ior[owner], s.ior[behind])
-    relative = s.ior[before] / behind_ior
-    reflected, inner = fresnel(cosine, relative)
     mirror, edge, glass, gloss = s.optics(tri)
+    # what encloses nothing has no inside that a mask could tell: the side that is met says where the glass is
+    sheet = (bit == 0) & (glass.max(axis=0) > 0)
+    before_ior = np.where(sheet & ~enters, s.own_ior[owner], s.ior[before])
+    behind_ior = np.where(enters & (bit == 0), s.own_ior[owner], s.ior[behind])
+    relative = before_ior / behind_ior
+    reflected, inner = fresnel(cosine, relative)
     back = schlick(mirror, edge, cosine) + gloss * reflected
     # an index that is equal on both sides is no surface, though a tint stays
-    through = np.where(bit > 0, glass * (1 - reflected), _F(0))
+    through = glass * (1 - reflected)
+    straight = np.zeros(len(rows), bool)
+    aside = _F(0)
+    if s.clears:
+        clear = s.through(tri, u, v)
+        # photons that met a caster go on through windows; beside glass that is a third way, which nobody follows
+        straight = met & (glass.max(axis=0) <= 0) & (clear.max(axis=0) > 0)
+        through = np.where(straight, clear, through)
+        aside = np.where(straight, _F(0), clear)
+        told = np.where(own, (power * aside).mean(axis=0), 0)
+        result.past[rows] += np.where(met, 0, told)
+        result.lost[rows] += np.where(met, told, 0)
     some_back, some_through = back.max(axis=0) > 1e-7, through.max(axis=0) > 1e-7
     split = some_back & some_through
     wanted = (family[rows] >> np.minimum(splits, 62)) & 1
@@ -243,14 +291,14 @@ def _bend(s, result, rows, d, power, mask, splits, path, tri, u, v, distance, fa
     slot = np.minimum(splits, SPLITS - 1)
     result.left[slot, rows] += taken
     splits_after = splits + split
-    absorbed = (power * (1 - weight - other)).mean(axis=0)
+    absorbed = (power * (1 - weight - other - aside)).mean(axis=0)
     result.absorbed[rows] += np.where(own, np.maximum(absorbed, 0), 0)
     power = power * weight
     bounced = reflect(d, normal)
-    passed = refract(d, normal, cosine, inner, relative)
+    passed = np.where(straight, d, refract(d, normal, cosine, inner, relative))
     ahead = np.where(mirrors, bounced, passed)
     # a smooth normal may send the ray to the wrong side of the flat face; the face's own does not
-    wrong = (dot(ahead, flat) > 0) != mirrors
+    wrong = ((dot(ahead, flat) > 0) != mirrors) & (mirrors | ~straight)
     if wrong.any():
         steep = -dot(d[:, wrong], flat[:, wrong])
         inner_flat = fresnel(steep, relative[wrong])[1]
@@ -260,7 +308,7 @@ def _bend(s, result, rows, d, power, mask, splits, path, tri, u, v, distance, fa
             refract(d[:, wrong], flat[:, wrong], steep, inner_flat, relative[wrong]),
         )
     ahead = normalised(ahead)
-    mask = np.where(mirrors, mask, np.where(enters, within, without))
+    mask = np.where(mirrors | straight, mask, np.where(enters, within, without))
     place = place + flat * np.where(mirrors, s.offset, -s.offset)
     event = np.where(mirrors, np.where(split, 0, 1), 2)
     path = path * 1000003 + s.group[tri] * 4 + event + 11

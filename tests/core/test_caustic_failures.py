@@ -1,0 +1,162 @@
+"""Where caustics went wrong: ordinary scenes that lost light or failed, each with what outside truth says of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from lightpanes.core.caustics import CausticAtlas, casters
+from lightpanes.core.caustics.lamp import LampCaustics
+from lightpanes.core.caustics.receivers import Receivers
+from lightpanes.core.caustics.surfaces import Surfaces
+from lightpanes.core.rays import Tracer
+from lightpanes.core.scene import Light, Material, Optics
+
+from .caustic_scenes import BLACK, ball, closed, floor, floor_places, glass, panel, staged, within
+from .shapes import GREY, lamp
+
+WINDOW = Material(
+    "Window", BLACK, transmission=(0.8,) * 3, optics=Optics(mirror=(0.2,) * 3, mirror_edge=(0.2,) * 3, clear=(0.8,) * 3)
+)
+
+
+def lit(scene, resolution: int = 64, **more) -> np.ndarray:
+    """(resolution, resolution) W/m², red, of the scene's lamps."""
+    return CausticAtlas(scene, resolution).image(scene.lights, **more)[..., 0]
+
+
+# ---- what goes straight on ----
+
+
+def test_shadow_rays_carry_what_a_caster_lets_straight_on():
+    """Four fifths of the light pass a window that mirrors the fifth: no photon carries them."""
+    light = lamp((0.3, 0.1, 2.2))
+    scene = staged(floor(), panel((-1, -1, 1), (2, 0, 0), (0, 2, 0)), materials=(GREY, WINDOW), lights=[light])
+    found = casters(scene)
+    start, way = np.float32([[0, 0, 0.01]]), np.float32([[0.3, 0.1, 2.19]])
+    assert np.isclose(Tracer(scene, solid=found.triangles).visibility(start, way)[0], 0.8)
+    atlas = CausticAtlas(scene, 32)
+    assert not atlas.image([light])[..., :3].any()
+    energy = atlas.energy(light)
+    met = energy.escaped / 0.2
+    assert energy.absorbed == 0 and energy.untraced == 0
+    assert np.isclose(closed(energy), 1, atol=0.002) and np.isclose(
+        energy.emitted - energy.missed, 0.2 * met, rtol=0.01
+    )
+
+
+def test_photons_go_on_through_a_window():
+    """A ball's caustic behind a window, on the lamp's side or on the floor's: four fifths of it."""
+    light = lamp((0.3, 0.1, 2.2))
+    ball_ = ball((0, 0, 0.8), 0.3, 64)
+    alone = lit(staged(floor(), ball_, materials=(GREY, glass()), lights=[light]))
+    for height in (1.5, 0.2):
+        pane = panel((-2, -2, height), (4, 0, 0), (0, 4, 0), material=2, name="Pane")
+        # black on the mirroring side, so that what comes back from it does not count
+        plain = replace(WINDOW, optics=replace(WINDOW.optics, mirror=(0.1,) * 3, mirror_edge=(0.1,) * 3))
+        image = lit(staged(floor(), ball_, pane, materials=(GREY, glass(), plain), lights=[light]))
+        bright = alone > 0.3 * alone.max()
+        assert bright.sum() > 5
+        assert np.isclose(image[bright].sum() / alone[bright].sum(), 0.8, atol=0.03)
+
+
+@pytest.mark.parametrize("mapped", [False, True])
+def test_a_textured_floor_is_lit_and_a_curtain_lets_its_part_on(mapped):
+    """A map of transmission makes no floor see-through; a half-clear sheet shows a caustic, and the floor half of it."""
+    light = lamp((0.3, 0.1, 2.2))
+    ball_ = ball((0, 0, 0.9), 0.3, 64)
+    scene = staged(floor(), ball_, materials=(GREY, glass()), lights=[light])
+    alone = CausticAtlas(scene, 64)
+    expected = alone.image([light])[..., 0]
+    cloth = replace(GREY, transmission=(0.5,) * 3)
+    p, t, uv = floor()[1:4]
+    raised = p + np.array([0, 0, 0.02])
+    half = staged(
+        ("Floor", p, t, uv / [2, 1], None, 0), ball_, ("Cloth", raised, t, uv / [2, 1] + [0.5, 0], None, 2),
+        materials=(replace(GREY, mapped=mapped), glass(), replace(cloth, mapped=mapped)), lights=[light],
+    )  # fmt: skip
+    if mapped:
+        half.transmission_map = np.zeros((8, 8, 3), np.float32)
+        half.transmission_map[:, 4:] = 0.5
+    atlas = CausticAtlas(half, 128)
+    image = atlas.image([light])[::2, :, 0].reshape(64, 2, 64)
+    _, inside = floor_places(64)
+    inside = within(inside)
+    below, on = (image[:, k][inside].sum() / expected[inside].sum() for k in (0, 1))
+    assert np.isclose(on, 1, atol=0.05) and np.isclose(below, 0.5, atol=0.04)
+    before, after = alone.energy(light), atlas.energy(light)
+    assert np.isclose(after.landed + after.untraced, before.landed + before.untraced, rtol=0.02)
+    assert np.isclose(closed(after), 1, atol=0.005)
+    if mapped:
+        opaque = staged(floor(), ball_, materials=(replace(GREY, mapped=True), glass()), lights=[light])
+        opaque.transmission_map = np.zeros((8, 8, 3), np.float32)
+        assert np.array_equal(lit(opaque), expected)
+
+
+# ---- meshes without an inside ----
+
+
+def test_a_sheet_of_glass_spoils_no_glass_behind_it():
+    """A window of one face bends the sun's parallel light by nothing, since it falls in at right angles; a ball focuses it
+    as behind a slab."""
+    sun = replace(lamp((0, 0, 5), power=10.0, kind="SUN"), angle=0.0)
+    ball_ = ball((0, 0, 0.6), 0.3, 64)
+    peaks = {}
+    for name, turned in (("none", None), ("up", False), ("down", True)):
+        parts = [floor(), ball_]
+        if name != "none":
+            along, across = ((0, 2, 0), (2, 0, 0)) if turned else ((2, 0, 0), (0, 2, 0))
+            parts.append(panel((-1, -1, 1.5), along, across, name="Window"))
+        peaks[name] = lit(staged(*parts, materials=(GREY, glass()), lights=[sun])).max()
+    assert np.isclose(peaks["up"], 0.96 * peaks["none"], rtol=0.03)
+    assert np.isclose(peaks["down"], 0.96 * peaks["none"], rtol=0.03)
+
+
+# ---- receivers ----
+
+
+def test_a_scene_lit_at_its_vertices_alone_has_landings():
+    """No texel shows them, but the panes' entries want to know where they are."""
+    light = lamp((0.3, 0.1, 2.2))
+    scene = staged(floor(), ball((0, 0, 0.7), 0.4, 24), materials=(GREY, glass()), lights=[light])
+    shown = CausticAtlas(scene, 32)
+    shown.image([light])
+    expected = shown.landings(light).power.sum()
+    for uv in (True, False):
+        scene.objects = (replace(scene.objects[0], at_vertices=True), scene.objects[1])
+        if not uv:
+            scene.atlas_uv[:] = np.nan
+        atlas = CausticAtlas(scene, 32)
+        assert not atlas.image([light])[..., :3].any()
+        assert np.isclose(atlas.landings(light).power.sum(), expected, rtol=0.03)
+        assert np.isclose(closed(atlas.energy(light)), 1, atol=0.005)
+
+
+# ---- lamps ----
+
+
+@pytest.mark.parametrize("points", [16, 17, 18, 19])
+def test_weaker_families_have_all_of_the_lamp_s_power(points):
+    """They start from every fourth of its points, whatever their number."""
+    light = lamp((0.3, 0.1, 2.2), radius=0.1)
+    scene = staged(floor(), ball((0, 0, 0.7), 0.4, 32), materials=(GREY, glass()), lights=[light])
+    found = casters(scene)
+    photons = LampCaustics(light, Surfaces(scene, found), Receivers(scene, 32), 40_000)
+    photons._plant(points, 2_500)
+    shares = {}
+    for tree in photons._trees:
+        shares[tree.family] = shares.get(tree.family, 0.0) + tree.emitter.share
+    assert len(shares) > 2 and np.allclose(list(shares.values()), shares[0])
+
+
+@pytest.mark.parametrize("spread", [1.2, 0.2, 0.05, 0.02])
+def test_a_narrow_soft_box_sends_all_its_light(spread):
+    """Upwards into a mirror that takes all of it: 1 W is accounted for, and lands."""
+    matrix = np.diag([1.0, -1, -1, 1])
+    matrix[:3, 3] = (0.2, -0.1, 1)
+    light = Light("Box", "AREA", matrix, 100.0, size=(0.3, 0.3), spread=spread)
+    scene = staged(floor(4), panel((-3, -3, 2), (0, 6, 0), (6, 0, 0)), lights=[light])
+    atlas = CausticAtlas(scene, 64)
+    atlas.image([light], 10_000)
+    energy = atlas.energy(light)
+    assert np.isclose(energy.emitted, 1, atol=0.02) and np.isclose(closed(energy), 1, atol=0.02)
+    assert np.isclose(energy.landed, 1, atol=0.02)
