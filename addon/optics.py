@@ -93,6 +93,20 @@ def read_optics(material: bpy.types.Material | None, warnings: list[str]) -> Opt
     )
 
 
+def scattered(material: bpy.types.Material) -> np.ndarray | None:
+    """(3,) what a Principled material scatters diffusely beside its metal and glass, by the mean of its texture; None
+    where that is not plain."""
+    output = surface_output(material.node_tree)
+    node = source(output.inputs["Surface"]) if output is not None else None
+    if node is None or node.type != "BSDF_PRINCIPLED":
+        return None
+    shares = [constant(node.inputs[name]) for name in ("Metallic", "Transmission Weight", "Alpha")]
+    if None in shares:
+        return None
+    metallic, glass, alpha = (float(np.clip(share, 0, 1)) for share in shares)
+    return alpha * (1 - metallic) * (1 - glass) * np.clip(_colour(node.inputs["Base Color"], []), 0, 1)
+
+
 def coarse_glass(scene: Scene) -> list[str]:
     """Sentences about objects whose glass has too few faces to focus light where it ought to."""
     refracts = np.array([is_caster(m) and bool(any(m.optics.glass)) for m in scene.materials], bool)
