@@ -121,7 +121,7 @@ class _Caustics(LiveImage):
     def make_atlas(self, panes, surfaces):
         return Traced(panes, surfaces)
 
-    def images(self, atlas, asked, full) -> Iterator[np.ndarray]:
+    def images(self, atlas, asked, full) -> Iterator[np.ndarray | None]:
         steps, begin = atlas.atlas.refine(asked.lights, asked.photons), time.perf_counter()
         due = begin + (STREAM if full else SLICE)
         for step in steps:
@@ -131,6 +131,8 @@ class _Caustics(LiveImage):
                 if not full:
                     return
                 due = time.perf_counter() + STREAM
+            else:
+                yield None
 
     def image(self, atlas, asked):
         return atlas.atlas.image(asked.lights, asked.photons)

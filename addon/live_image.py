@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -67,12 +68,14 @@ class Held:
 
 @dataclass
 class _Work:
-    """One image, made beside Blender's own work. image: the best there is by now, None once it is shown."""
+    """One image, made beside Blender's own work. name: of the image, for errors. image: the best there is by now, None
+    once it is shown."""
 
+    name: str
     asked: Asked
     full: bool
     atlas: object
-    images: Callable[[], Iterable[np.ndarray]]
+    images: Callable[[], Iterable[np.ndarray | None]]
     image: np.ndarray | None = None
     made: int = 0
     error: str = ""
@@ -88,12 +91,20 @@ class _Work:
         begin = time.perf_counter()
         try:
             for image in self.images():
-                self.image, self.made = image, self.made + 1
+                if image is not None:
+                    self.image, self.made = image, self.made + 1
                 self.seconds = time.perf_counter() - begin
                 if self.dropped:
                     break
         except SceneError as error:
             self.error = str(error)
+        except Exception as error:  # in a thread nobody else would ever hear of it
+            traceback.print_exc()
+            reason = f"{type(error).__name__}: {error}".rstrip(": ")
+            self.error = (
+                f"'{self.name}' could not be worked out ({reason}), and shows what it showed before; press Relight to try "
+                "again."
+            )
         self.seconds = time.perf_counter() - begin
 
 
@@ -130,9 +141,9 @@ class LiveImage:
         """Whatever works images out of what was read."""
         raise NotImplementedError
 
-    def images(self, atlas, asked: Asked, full: bool) -> Iterator[np.ndarray]:
-        """(H, W, 4) float32, from coarse to fine; the last one is what counts. Nothing of Blender is read: it may run
-        beside it."""
+    def images(self, atlas, asked: Asked, full: bool) -> Iterator[np.ndarray | None]:
+        """(H, W, 4) float32, from coarse to fine; the last one is what counts, and None is none yet, when nobody need want
+        more. Nothing of Blender is read: it may run beside it."""
         raise NotImplementedError
 
     def show(self, scene: bpy.types.Scene, mine: Held, asked: Asked, image: np.ndarray, full: bool) -> None:
@@ -280,7 +291,7 @@ class LiveImage:
         rests = now - mine.since >= REST
         if rests or (mine.coarse != mine.asked.key and now >= mine.pause):
             atlas, asked = mine.atlas, mine.asked
-            mine.work = _Work(asked, rests, atlas, lambda: self.images(atlas, asked, rests))
+            mine.work = _Work(self.role, asked, rests, atlas, lambda: self.images(atlas, asked, rests))
         return True
 
     def _take(self, scene, mine: Held, work: _Work, ended: bool) -> None:
@@ -288,11 +299,11 @@ class LiveImage:
         error, image, work.image = work.error, work.image, None
         if image is not None:
             try:
-                self._take_up(scene, mine, work.asked, image, work.full and ended and not work.dropped)
+                self._take_up(scene, mine, work.asked, image, work.full and ended and not (work.dropped or error))
             except SceneError as reason:
                 error = str(reason)
             mine.milliseconds = 1000 * work.seconds
-        elif ended and work.full and not (work.dropped or error):
+        elif ended and work.full and work.made and not (work.dropped or error):
             # its last image is shown already, as a coarse one
             self._done(scene, mine, work.asked)
         elif not (ended and error):

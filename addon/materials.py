@@ -18,7 +18,7 @@ import bpy
 import numpy as np
 
 from ..core.scene import Material, Scene
-from .optics import coarse_glass, read_optics
+from .optics import coarse_glass, read_optics, scattered
 from .trees import CONSTANT_NODES, constant, source, surface_output, uses_nodes
 from .unfolded import Unfolded
 
@@ -68,8 +68,8 @@ def read_materials(
     # without the add-on registered there is no setting, and nothing to put caustics in
     if getattr(getattr(context.scene, "lightpanes", None), "caustics", False):
         materials = [
-            replace(each, optics=read_optics(material, scene.warnings))
-            for material, each in zip(used, materials, strict=True)
+            _with_optics(each, material, seen, scene.warnings)
+            for each, material, seen in zip(materials, used, looks, strict=True)
         ]
     scene.materials = tuple(materials)
     scene.warnings += coarse_glass(scene)
@@ -93,6 +93,15 @@ def _material(material, each: Look) -> Material:
         Material(material.name, mapped=each.varies),
         **{kind: tuple(float(v) for v in value) for kind, value in values.items()},
     )
+
+
+def _with_optics(each: Material, material, seen: Look, warnings) -> Material:
+    """With its mirror and glass, and, where the colour beside these varies, its mean as far as that can be read without a
+    bake: whoever reads maps and who does not must take the same materials for casters of caustics."""
+    optics = read_optics(material, warnings)
+    if optics is not None and seen.albedo is None and (mean := scattered(material)) is not None:
+        each = replace(each, albedo=tuple(float(v) for v in mean))
+    return replace(each, optics=optics)
 
 
 def look(material: bpy.types.Material | None, warnings: list[str]) -> Look:
@@ -179,6 +188,9 @@ def _principled(node, name, warnings) -> Look:
         if base is not None and metallic is not None and glass is not None:
             gloss = principled_gloss(node)
             albedo = alpha * (1 - metallic) * (1 - glass) * (base + gloss * (1 - base))
+        elif metallic == 1.0 or glass == 1.0 or alpha == 0.0:
+            # whatever its colour is, nothing is scattered
+            albedo = BLACK
         if strength == 0.0:
             emission = BLACK
         elif colour is not None and strength is not None:

@@ -36,6 +36,7 @@ class _Lobes:
     mirror_edge: np.ndarray = field(default_factory=BLACK.copy)
     glass: np.ndarray = field(default_factory=BLACK.copy)
     gloss: np.ndarray = field(default_factory=BLACK.copy)
+    clear: np.ndarray = field(default_factory=BLACK.copy)
     ior: float = 1.5
     roughness: float = 0.0
 
@@ -52,19 +53,18 @@ class _Lobes:
 
     @property
     def is_any(self) -> bool:
+        """Whether anything is mirrored or bent; what passes straight on is no matter of caustics by itself."""
         return self.refracts or bool(self.mirror.any() or self.mirror_edge.any())
 
     def plus(self, other: _Lobes, notes: list[str]) -> _Lobes:
-        if not (self.is_any and other.is_any):
-            return self if self.is_any else other
         if self.refracts and other.refracts and abs(self.ior - other.ior) > 1e-3:
             notes.append("mixes two kinds of glass: its caustics are bent by the first one's IOR")
         colours = {name: getattr(self, name) + getattr(other, name) for name in COLOURS}
-        ior = self.ior if self.refracts else other.ior
+        ior = self.ior if self.refracts or not other.is_any else other.ior
         return _Lobes(**colours, ior=ior, roughness=max(self.roughness, other.roughness))
 
 
-COLOURS = ("mirror", "mirror_edge", "glass", "gloss")
+COLOURS = ("mirror", "mirror_edge", "glass", "gloss", "clear")
 
 
 def read_optics(material: bpy.types.Material | None, warnings: list[str]) -> Optics | None:
@@ -91,6 +91,20 @@ def read_optics(material: bpy.types.Material | None, warnings: list[str]) -> Opt
     return Optics(
         **colours, ior=lobes.ior, absorption=_three(absorption), roughness=float(np.clip(lobes.roughness, 0, 1))
     )
+
+
+def scattered(material: bpy.types.Material) -> np.ndarray | None:
+    """(3,) what a Principled material scatters diffusely beside its metal and glass, by the mean of its texture; None
+    where that is not plain."""
+    output = surface_output(material.node_tree)
+    node = source(output.inputs["Surface"]) if output is not None else None
+    if node is None or node.type != "BSDF_PRINCIPLED":
+        return None
+    shares = [constant(node.inputs[name]) for name in ("Metallic", "Transmission Weight", "Alpha")]
+    if None in shares:
+        return None
+    metallic, glass, alpha = (float(np.clip(share, 0, 1)) for share in shares)
+    return alpha * (1 - metallic) * (1 - glass) * np.clip(_colour(node.inputs["Base Color"], []), 0, 1)
 
 
 def coarse_glass(scene: Scene) -> list[str]:
@@ -157,25 +171,32 @@ def _principled(node, notes) -> _Lobes:
     metallic, alpha = constant(node.inputs["Metallic"]), constant(node.inputs["Alpha"])
     glass = constant(node.inputs["Transmission Weight"])
     if metallic == 0.0 and glass == 0.0:
-        return _Lobes()
+        return _Lobes() if alpha is None else _through(alpha)
     if metallic is None or alpha is None or glass is None:
         # what a texture makes metal is seldom polished, and not worth a word
         rough = constant(node.inputs["Roughness"])
         if rough is not None and rough < 0.1:
             notes.append(VARIES)
         return _Lobes()
+    metallic, glass, alpha = (float(np.clip(value, 0, 1)) for value in (metallic, glass, alpha))
+    thin = 0.0
     if _is_set(node, "Thin Wall"):
         # bends nothing: light passes it straight on
-        glass = 0.0
-    metallic, glass, alpha = (float(np.clip(value, 0, 1)) for value in (metallic, glass, alpha))
-    if not (alpha and (metallic or glass)):
-        return _Lobes()
+        thin, glass = glass, 0.0
+    if not (alpha and (metallic or glass or thin)):
+        return _through(alpha)
     base = np.clip(_colour(node.inputs["Base Color"], notes), 0, 1)
     tint = np.clip(_colour(node.inputs["Specular Tint"], notes), 0, 1)
     roughness = _surface(node, notes)
     metal = _Lobes(base, _edge(base, tint * (base + (1 - base) * SCHLICK_82)), roughness=roughness)
-    clear = _Lobes(glass=np.sqrt(base), gloss=WHITE, ior=_ior(node, notes), roughness=roughness)
-    return metal.scaled(alpha * metallic).plus(clear.scaled(alpha * (1 - metallic) * glass), notes)
+    inner = _Lobes(glass=np.sqrt(base), gloss=WHITE, ior=_ior(node, notes), roughness=roughness)
+    lobes = metal.scaled(alpha * metallic).plus(inner.scaled(alpha * (1 - metallic) * glass), notes)
+    return lobes.plus(_through(alpha), notes).plus(_Lobes(clear=alpha * (1 - metallic) * thin * np.sqrt(base)), notes)
+
+
+def _through(alpha: float) -> _Lobes:
+    """What a surface of this alpha lets straight on."""
+    return _Lobes(clear=(1 - float(np.clip(alpha, 0, 1))) * WHITE)
 
 
 def _is_set(node, name) -> bool:
@@ -187,6 +208,10 @@ def _is_set(node, name) -> bool:
 def _glass(node, notes) -> _Lobes:
     colour = np.clip(_colour(node.inputs["Color"], notes), 0, None)
     return _Lobes(glass=colour, gloss=colour, ior=_ior(node, notes), roughness=_surface(node, notes))
+
+
+def _transparent(node, notes) -> _Lobes:
+    return _Lobes(clear=np.clip(_colour(node.inputs["Color"], notes), 0, 1))
 
 
 def _refraction(node, notes) -> _Lobes:
@@ -313,6 +338,7 @@ def _absorption(node, notes) -> np.ndarray:
 _READERS = {
     "BSDF_PRINCIPLED": _principled,
     "BSDF_GLASS": _glass,
+    "BSDF_TRANSPARENT": _transparent,
     "BSDF_REFRACTION": _refraction,
     "BSDF_GLOSSY": _glossy,
     "BSDF_METALLIC": _metallic,
