@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lightpanes.core.caustics import CausticAtlas, casters
+from lightpanes.core.caustics.emission import _on_disk, _project, emitters
 from lightpanes.core.caustics.lamp import LampCaustics
 from lightpanes.core.caustics.receivers import Receivers
 from lightpanes.core.caustics.surfaces import Surfaces
@@ -160,3 +161,39 @@ def test_a_narrow_soft_box_sends_all_its_light(spread):
     energy = atlas.energy(light)
     assert np.isclose(energy.emitted, 1, atol=0.02) and np.isclose(closed(energy), 1, atol=0.02)
     assert np.isclose(energy.landed, 1, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("place", "more"),
+    [
+        ((0, 0, 0.5), {}),
+        ((1.5, 0.3, 0.2), {}),
+        ((1.9, 0.3, 0.05), {}),
+        ((1.2, 0.9, 0.1), {}),
+        ((1.9, 1.9, 0.1), {}),
+        ((0.7, -1.2, 0.002), {}),
+        ((0.5, 1.0, 0.3), {"radius": 0.2}),
+        ((0.5, 1.0, 0.3), {"kind": "AREA", "size": (1.0, 0.5)}),
+    ],
+)
+def test_the_square_covers_a_large_mirror_near_the_lamp(place, more):
+    """All directions that meet 4 × 4 m of two triangles lie in the square of photons, wherever the lamp is."""
+    light = lamp(place, **more)
+    mirror = panel((-2, -2, 0), (4, 0, 0), (0, 4, 0))
+    scene = staged(floor(6, 3.0), mirror, lights=[light])
+    surfaces = Surfaces(scene, casters(scene))
+    found = emitters(light, surfaces.bounding(1, light), 16, 0, scene.extent)
+    assert len(found) == (16 if more else 1)
+    way = np.random.default_rng(0).normal(size=(50_000, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    for emitter in found:
+        start = np.broadcast_to(emitter.origin[:, None], way.T.shape)
+        if emitter.lens is not None:
+            start = start + _on_disk(emitter.axes, emitter.lens, way.T)
+        with np.errstate(divide="ignore"):
+            distance = -start[2] / way[:, 2]
+        at = start[:2].T + way[:, :2] * distance[:, None]
+        meets = (distance > 0) & (np.abs(at) < 2).all(axis=1)
+        flat = _project(emitter.axes, way[meets])
+        covered = ((flat >= emitter.low) & (flat <= emitter.low + emitter.span)).all(axis=1)
+        assert covered.mean() > 0.999
