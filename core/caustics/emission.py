@@ -8,6 +8,7 @@ it is the object's cross-section. A soft lamp is a set of points, each with a sq
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,42 @@ SHIFT = 0.15
 
 MARGIN = 0.01
 """Of the square around an object, so that rounding and bent edges cut nothing off."""
+
+
+WIDE = 0.1
+"""rad, angle of an edge beyond which its ends don't bound it: the projection bends it."""
+
+ALONG = np.arange(1, 64) / 64
+"""Places along an edge, as angles seen from the lamp, that then bound it too."""
+
+BEHIND = 0.989
+"""Cosine, to the direction away from an object, of a part of it that is too far around to be bounded."""
+
+
+class Bounds(NamedTuple):
+    """What bounds an object as a lamp sees it. points: (n, 3) corners, m. edges: (e, 2, 3), m, those that may be long in
+    the lamp's eyes."""
+
+    points: np.ndarray
+    edges: np.ndarray
+
+    def seen_from(self, origin: np.ndarray) -> np.ndarray:
+        """(k, 3) float64 places, m: corners, and places along edges that look long from (3,) `origin`, evenly in angle."""
+        a, b = self.edges[:, 0] - origin, self.edges[:, 1] - origin
+        length = np.linalg.norm(b - a, axis=1)
+        rows = np.flatnonzero(length > WIDE * np.linalg.norm(a + b, axis=1) / 2)
+        if not len(rows):
+            return self.points
+        a, b = a[rows], b[rows]
+        far = [np.maximum(np.linalg.norm(v, axis=1), 1e-12) for v in (a, b)]
+        angle = 2 * np.arctan2(
+            *(np.linalg.norm(a / far[0][:, None] + sign * b / far[1][:, None], axis=1) for sign in (-1, 1))
+        )
+        # of the ray at part t of the angle, the sine rule's place on the edge
+        angle = np.clip(angle, 1e-6, np.pi - 1e-6)[:, None]
+        one, other = far[0][:, None] * np.sin(ALONG * angle), far[1][:, None] * np.sin((1 - ALONG) * angle)
+        part = (one / (one + other))[:, :, None]
+        return np.concatenate([self.points, (a[:, None] + (b - a)[:, None] * part).reshape(-1, 3) + origin])
 
 
 @dataclass(frozen=True)
@@ -82,14 +119,13 @@ def is_soft(light: Light) -> bool:
     return light.radius > 0
 
 
-def emitters(light: Light, points: np.ndarray, count: int, seed: int = 0, extent: float = 0.0) -> list[Emitter]:
-    """Of a lamp towards an object. points: (n, 3) places that bound the object (`bounding_points`). count: points of a
-    soft lamp. extent: of the scene, m, from beyond which sunlight comes. None where none of its light can meet it."""
+def emitters(light: Light, bounds: Bounds, count: int, seed: int = 0, extent: float = 0.0) -> list[Emitter]:
+    """Of a lamp towards an object. bounds: of the object (`Surfaces.bounding`). count: points of a soft lamp. extent: of the scene, m, from beyond which sunlight comes. None where none of its light can meet it."""
     count = count if is_soft(light) else 1
     disk = concentric_disk(hammersley_points(count, seed)).astype(np.float64) if count > 1 else np.zeros((1, 2))
     make = {"SUN": _sun, "AREA": _panel, "POINT": _ball, "SPOT": _ball}[light.kind]
-    points = points.astype(np.float64)
-    return [e for e in make(light, points, disk, seed, extent) if e is not None and e.span.min() > 0]
+    bounds = Bounds(*(part.astype(np.float64) for part in bounds))
+    return [e for e in make(light, bounds, disk, seed, extent) if e is not None and e.span.min() > 0]
 
 
 def intensity(light: Light, direction: np.ndarray) -> np.ndarray:
@@ -116,16 +152,12 @@ def intensity(light: Light, direction: np.ndarray) -> np.ndarray:
     return np.where(forward > 0, forward * grid / np.pi, 0)
 
 
-def bounding_points(corners: np.ndarray, longest: float) -> np.ndarray:
-    """(n, 3) float32 places that bound triangles (t, 3, 3) as lamps see them: corners, and places along edges longer
-    than `longest` m, which the projection bends."""
-    places = [corners.reshape(-1, 3)]
+def edges_near(corners: np.ndarray, place: np.ndarray, reach: float) -> np.ndarray:
+    """(e, 2, 3) edges of triangles (t, 3, 3), m, that may look long from within `reach` m of (3,) `place`."""
     end = np.roll(corners, -1, axis=1)
-    long = np.linalg.norm(end - corners, axis=2) > longest
-    if long.any():
-        a, b = corners[long], end[long]
-        places += [a + (b - a) * np.float32(k / 8) for k in range(1, 8)]
-    return np.unique(np.concatenate(places), axis=0)
+    away = np.linalg.norm((corners + end) / 2 - place, axis=2) - reach
+    near = np.linalg.norm(end - corners, axis=2) > WIDE * away
+    return np.stack([corners[near], end[near]], axis=1)
 
 
 def extreme_points(places: np.ndarray, directions: int = 512) -> np.ndarray:
@@ -183,8 +215,9 @@ def _rectangle(flat, least=1e-7):
     return low - pad, high + pad
 
 
-def _towards(light, points, origin, share, lens=None, reach=0.0):
+def _towards(light, bounds, origin, share, lens=None, reach=0.0):
     """An emitter at a point: the rectangle of an object's directions, and of a spot's cone, around their middle."""
+    points = bounds.seen_from(origin)
     low, high = points.min(axis=0), points.max(axis=0)
     away = (low + high) / 2 - origin
     whole = np.array([-2.0, -2.0]), np.array([2.0, 2.0])
@@ -209,6 +242,9 @@ def _towards(light, points, origin, share, lens=None, reach=0.0):
                 shifted = points - origin - _on_disk(axes, lens, vectors.T).T
                 vectors = shifted / np.linalg.norm(shifted, axis=1, keepdims=True)
         low, high = _rectangle(_project(axes, vectors))
+        # what passes close behind the lamp goes round the rim between two places
+        if (vectors @ axes[2]).min() < -BEHIND:
+            low, high = whole
     low, high = np.maximum(low, -2.0), np.minimum(high, 2.0)
     if light.kind == "SPOT" or (light.kind == "AREA" and light.spread < np.pi):
         cone = _cone(light, axes)
@@ -235,13 +271,14 @@ def _cone(light, axes):
     return _rectangle(_project(axes, rim))
 
 
-def _ball(light, points, disk, seed, extent):
+def _ball(light, bounds, disk, seed, extent):
     for place in disk:
         lens = place * light.radius if len(disk) > 1 else None
-        yield _towards(light, points, light.position, 1 / len(disk), lens, light.radius if lens is not None else 0.0)
+        yield _towards(light, bounds, light.position, 1 / len(disk), lens, light.radius if lens is not None else 0.0)
 
 
-def _panel(light, points, disk, seed, extent):
+def _panel(light, bounds, disk, seed, extent):
+    points = bounds.points
     if min(light.size) <= 0:
         return
     own = light.matrix[:3, :3] / np.linalg.norm(light.matrix[:3, :3], axis=0)
@@ -270,10 +307,11 @@ def _panel(light, points, disk, seed, extent):
         origin = light.position + own[:, 0] * (place[0] * light.size[0]) + own[:, 1] * (place[1] * light.size[1])
         ahead = (points - origin) @ light.direction
         if ahead.max() > 0:
-            yield _towards(light, points, origin, 1 / len(places))
+            yield _towards(light, bounds, origin, 1 / len(places))
 
 
-def _sun(light, points, disk, seed, extent):
+def _sun(light, bounds, disk, seed, extent):
+    points = bounds.points
     half = min(light.angle, np.pi) / 2
     middle = _axes(light.direction)
     for place in disk:

@@ -96,6 +96,7 @@ class LampCaustics:
         self._forest: Forest | None = None
         self._trees: list[Tree] = []
         self._power: np.ndarray | None = None
+        self._lit: np.ndarray | None = None
         # photons of parts that are done, and all power with theirs
         self._used = 0
         self._parted: np.ndarray | None = None
@@ -111,7 +112,7 @@ class LampCaustics:
         """One step further, to a better picture; `done` says when it was the last."""
         if not self.done:
             self.done = next(self._steps, self) is self
-            self._power = None
+            self._power = self._lit = None
 
     def _run(self) -> Iterator[None]:
         """Refine until the photons are spent."""
@@ -164,7 +165,7 @@ class LampCaustics:
             yield
 
     def power(self) -> np.ndarray:
-        """(resolution², c) float64 W at each texel."""
+        """(resolution², c) float W at each texel."""
         if self._parted is not None:
             return self._parted
         if self._power is None:
@@ -177,7 +178,15 @@ class LampCaustics:
 
     def irradiance(self) -> np.ndarray:
         """(resolution², c) float32 W/m²."""
-        return self._receivers.irradiance(self.power())
+        if self._lit is not None:
+            return self._lit
+        lit = self._receivers.irradiance(self.power())
+        if self.done:
+            # a lamp at rest needs no more than this
+            self._lit, self._power = lit, None
+            if self._parted is not None:
+                self._parted = self._parted.astype(np.float32)
+        return lit
 
     def energy(self) -> Energy:
         if not self._trees:

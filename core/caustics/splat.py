@@ -21,8 +21,14 @@ ROUGH = 0.5
 SIDES = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128])
 """Numbers of sub-samples that a patch may have along a side."""
 
+LONGEST = 128.0
+"""Texels that a patch may be long, or its sub-samples would leave gaps: longer ones are divided."""
+
 BATCH = 32_768
 """Sub-samples that are spread together, at least."""
+
+ROOM = 1 << 26
+"""Bytes for what is spread but not summed yet, where two such sums are no more."""
 
 _F = np.float32
 
@@ -37,7 +43,7 @@ def box_samples(sums, x, y, wide, high, power, size: int) -> None:
 
 
 def _spread(x, y, wide, high, power, size):
-    """(c, size²) float64."""
+    """c arrays of (size²,) float64."""
     column, right = _shares(x, wide, size)
     row, above = _shares(y, high, size)
     at = row * size + column
@@ -49,7 +55,7 @@ def _spread(x, y, wide, high, power, size):
     for channel in power:
         weight = (share.reshape(4, -1) * channel).reshape(-1)
         total.append(np.bincount(texel, weight, size * size + size + 1)[: size * size])
-    return np.stack(total)
+    return total
 
 
 def _shares(place, extent, size):
@@ -70,12 +76,37 @@ def _shares(place, extent, size):
 @cache
 def biquadratic(across: int, along: int) -> np.ndarray:
     """(across · along, 9) float32 weights of a patch's 3 × 3 vertices at the middles of its sub-samples."""
+    return _weights((np.arange(across) + 0.5) / across, (np.arange(along) + 0.5) / along)
 
-    def line(count):
-        t = (np.arange(count) + 0.5) / count
-        return np.stack([(1 - t) * (1 - 2 * t), 4 * t * (1 - t), t * (2 * t - 1)], 1)
 
-    return np.einsum("ai,bj->abij", line(across), line(along)).reshape(across * along, 9).astype(np.float32)
+def _weights(s, t):
+    """(s · t, 9) float32 weights of a patch's 3 × 3 vertices at places s and t, in [0, 1], along its two sides."""
+    s, t = (np.stack([(1 - x) * (1 - 2 * x), 4 * x * (1 - x), x * (2 * x - 1)], 1) for x in (s, t))
+    return np.einsum("ai,bj->abij", s, t).reshape(-1, 9).astype(np.float32)
+
+
+_QUARTERS = np.concatenate([_weights(np.arange(3) / 4 + i, np.arange(3) / 4 + j) for i in (0, 0.5) for j in (0, 0.5)])
+"""(36, 9): a quarter's vertices from its patch's, one quarter after another."""
+
+
+def _lengths(patches):
+    """Two lists of (2 or 3, m, 2) squared steps between vertices along each side, and two (m,) lengths, texels."""
+    grid = patches[:, :, :2].reshape(3, 3, -1, 2)
+    squares = [step * step for step in (grid[1:] - grid[:-1], grid[:, 1:] - grid[:, :-1])]
+    return squares, [2 * np.sqrt(square.sum(axis=-1).max(axis=(0, 1))) for square in squares]
+
+
+def divided(patches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same patches, those longer than LONGEST as their quarters: (9, k, 2 + c), and (k,) rows of what each is part of."""
+    row = np.arange(patches.shape[1])
+    while True:
+        long = np.maximum(*_lengths(patches)[1]) > LONGEST
+        if not long.any():
+            return patches, row
+        parts = (_QUARTERS @ patches[:, long].reshape(9, -1)).reshape(4, 9, -1, patches.shape[2])
+        parts[..., 2:] *= _F(0.25)
+        patches = np.concatenate([patches[:, ~long], *parts], axis=1)
+        row = np.concatenate([row[~long], *4 * [row[long]]])
 
 
 def splat(
@@ -96,9 +127,11 @@ def splat(
     total = np.zeros((patches.shape[2] - 2, size * size))
     if not patches.shape[1]:
         return total.T
-    grid = patches[:, :, :2].reshape(3, 3, -1, 2)
-    squares = [step * step for step in (grid[1:] - grid[:-1], grid[:, 1:] - grid[:, :-1])]
-    lengths = [2 * np.sqrt(square.sum(axis=-1).max(axis=(0, 1))) for square in squares]
+    # near a chart's border samples are drawn towards their patch's first photon, which is on it
+    home = patches[0, :, :2]
+    patches, row = divided(patches)
+    home, chart, rough = home[row].T, chart[row], rough[row]
+    squares, lengths = _lengths(patches)
     across, along = counts(lengths, patches[4, :, 2:].mean(axis=1), rough, samples * size * size)
     # how far neighbouring samples are apart, along x and y: as wide a box has their parallelogram's variance
     variance = sum(
@@ -112,8 +145,9 @@ def splat(
     extent = np.clip(np.sqrt(variance), 1e-3, 1)[order]
     starts = np.flatnonzero(np.append(True, (np.diff(across) != 0) | (np.diff(along) != 0)))
     ends = np.append(starts[1:], len(order))
-    # as many samples together as make the sum over all texels cheap
-    batch = max(BATCH, size * size // 2)
+    home, chart = home[:, order], chart[order]
+    # as many samples together as make the sum over all texels cheap, at a hundred bytes each
+    batch = max(BATCH, size * size // 4)
     tasks, task, count = [], [], 0
     for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
         na, nb = int(across[start]), int(along[start])
@@ -133,14 +167,15 @@ def splat(
         parts = [_samples(values[:, :, part], na, nb, part.start) for na, nb, part in task]
         x, y, patch = (np.concatenate([p[k] for p in parts]) for k in range(3))
         wide, high = extent[patch].T
-        kept = _kept(x, y, wide, high, patch, values[0, :2], chart[order], receivers)
+        kept = _kept(x, y, wide, high, patch, home, chart, receivers)
         return _spread(*kept, np.concatenate([p[3] for p in parts], axis=1), size)
 
-    # a few at a time: each result is as large as the atlas
-    group = 8
+    # a few at a time, for each result is as large as the atlas; summed in order, whichever is ready first
+    group = int(np.clip(ROOM // total.nbytes, 2, 8))
     for start in range(0, len(tasks), group):
         for part in in_threads(run, tasks[start : start + group], threads):
-            total += part
+            for target, value in zip(total, part, strict=True):
+                target += value
     return total.T
 
 

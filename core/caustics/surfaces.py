@@ -7,7 +7,7 @@ import numpy as np
 from ..rays import Bvh, Transmission
 from ..scene import Light, Scene
 from .casters import Casters
-from .emission import bounding_points, extreme_points
+from .emission import Bounds, edges_near, extreme_points
 from .groups import encloses, smooth_groups
 
 LANDS, PASSES, BENDS = 0, 1, 2
@@ -59,19 +59,22 @@ class Surfaces:
         self._bounds = {}
         for k in self.casters.tolist():
             own = corners[owner == k]
-            places = bounding_points(own, 0.05 * float(np.ptp(own.reshape(-1, 3), axis=0).max()))
-            self._bounds[k] = places, extreme_points(places)
+            places = np.unique(own.reshape(-1, 3), axis=0)
+            self._bounds[k] = own, places, extreme_points(places)
         self.extent = scene.extent
         # float32 steps grow with the distance from the origin
-        sizes = [float(np.ptp(places, axis=0).max()) for places, _ in self._bounds.values()]
+        sizes = [float(np.ptp(places, axis=0).max()) for _, places, _ in self._bounds.values()]
         self.offset = np.float32(4e-7 * np.abs(scene.positions).max(initial=0.0) + 1e-6 * min(sizes))
 
-    def bounding(self, caster: int, light: Light) -> np.ndarray:
-        """(n, 3) float32 places that bound a caster as a lamp sees it, m: few where the lamp is not near."""
-        places, few = self._bounds[int(caster)]
+    def bounding(self, caster: int, light: Light) -> Bounds:
+        """What bounds a caster as a lamp sees it: few places where the lamp is not near."""
+        own, places, few = self._bounds[int(caster)]
         low, high = few.min(axis=0), few.max(axis=0)
-        near = np.linalg.norm(light.position - (low + high) / 2) < 2 * np.linalg.norm(high - low)
-        return places if near and light.kind != "SUN" else few
+        reach = np.hypot(*light.size) / 2 if light.kind == "AREA" else light.radius
+        near = np.linalg.norm(light.position - (low + high) / 2) < 2 * np.linalg.norm(high - low) + reach
+        if near and light.kind != "SUN":
+            return Bounds(places, edges_near(own, light.position, reach))
+        return Bounds(few, edges_near(own[:0], light.position, reach))
 
     def shape(self, triangle: np.ndarray) -> np.ndarray:
         """(21, n) float32 of triangles (n,) that bend light: first corner, two edges, normal there and its two

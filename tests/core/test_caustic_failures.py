@@ -1,12 +1,15 @@
 """Where caustics went wrong: ordinary scenes that lost light or failed, each with what outside truth says of it."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from lightpanes.core.caustics import CausticAtlas, casters
+from lightpanes.core.caustics.emission import _on_disk, _project, emitters
 from lightpanes.core.caustics.lamp import LampCaustics
 from lightpanes.core.caustics.receivers import Receivers
+from lightpanes.core.caustics.splat import divided, splat
 from lightpanes.core.caustics.surfaces import Surfaces
 from lightpanes.core.rays import Tracer
 from lightpanes.core.scene import Light, Material, Optics
@@ -160,3 +163,83 @@ def test_a_narrow_soft_box_sends_all_its_light(spread):
     energy = atlas.energy(light)
     assert np.isclose(energy.emitted, 1, atol=0.02) and np.isclose(closed(energy), 1, atol=0.02)
     assert np.isclose(energy.landed, 1, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("place", "more"),
+    [
+        ((0, 0, 0.5), {}),
+        ((1.5, 0.3, 0.2), {}),
+        ((1.9, 0.3, 0.05), {}),
+        ((1.2, 0.9, 0.1), {}),
+        ((1.9, 1.9, 0.1), {}),
+        ((0.7, -1.2, 0.002), {}),
+        ((0.5, 1.0, 0.3), {"radius": 0.2}),
+        ((0.5, 1.0, 0.3), {"kind": "AREA", "size": (1.0, 0.5)}),
+    ],
+)
+def test_the_square_covers_a_large_mirror_near_the_lamp(place, more):
+    """All directions that meet 4 × 4 m of two triangles lie in the square of photons, wherever the lamp is."""
+    light = lamp(place, **more)
+    mirror = panel((-2, -2, 0), (4, 0, 0), (0, 4, 0))
+    scene = staged(floor(6, 3.0), mirror, lights=[light])
+    surfaces = Surfaces(scene, casters(scene))
+    found = emitters(light, surfaces.bounding(1, light), 16, 0, scene.extent)
+    assert len(found) == (16 if more else 1)
+    way = np.random.default_rng(0).normal(size=(50_000, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    for emitter in found:
+        start = np.broadcast_to(emitter.origin[:, None], way.T.shape)
+        if emitter.lens is not None:
+            start = start + _on_disk(emitter.axes, emitter.lens, way.T)
+        with np.errstate(divide="ignore"):
+            distance = -start[2] / way[:, 2]
+        at = start[:2].T + way[:, :2] * distance[:, None]
+        meets = (distance > 0) & (np.abs(at) < 2).all(axis=1)
+        flat = _project(emitter.axes, way[meets])
+        covered = ((flat >= emitter.low) & (flat <= emitter.low + emitter.span)).all(axis=1)
+        assert covered.mean() > 0.999
+
+
+# ---- large atlases ----
+
+
+@pytest.mark.parametrize("size", [256, 1024])
+def test_a_patch_longer_than_its_samples_leaves_no_gaps(size):
+    """One even patch over most of the atlas is as bright everywhere, and its quarters are its parabola's."""
+
+    class Flat:
+        resolution = size
+        inner = np.ones(size * size, bool)
+
+    step = np.linspace(0.05, 0.95, 3) * size
+    place = np.stack(np.meshgrid(step, step, indexing="ij"), -1).reshape(9, 1, 2)
+    patch = np.concatenate([place, np.full((9, 1, 1), 7.0)], axis=2).astype(np.float32)
+    power = splat(patch, np.ones(1, np.int32), np.zeros(1, bool), Flat(), 1.0).reshape(size, size)
+    assert np.isclose(power.sum(), 7)
+    middle = power[size // 8 : -size // 8, size // 8 : -size // 8]
+    assert np.allclose(middle, 7 / (0.9 * size) ** 2, rtol=0.35)
+    assert middle.reshape(-1).std() < 0.1 * middle.mean()
+    bent = np.random.default_rng(2).random((9, 1, 3)).astype(np.float32) * np.float32([size, size, 1])
+    row = divided(bent)[1]
+    assert (row == 0).all() and len(row) > 1
+    # a fine rule's sums are those of the whole
+    whole = splat(bent, np.ones(1, np.int32), np.zeros(1, bool), Flat(), 1.0)
+    assert np.isclose(whole.sum(), (np.outer((1, 4, 1), (1, 4, 1)).ravel() / 36 * bent[:, 0, 2]).sum(), rtol=0.02)
+
+
+def test_what_is_held_while_light_is_spread_is_little():
+    """Not eight sums as large as the atlas, nor batches that grow with it."""
+    light = lamp((0.3, 0.1, 2.2))
+    tinted = replace(glass(), optics=replace(glass().optics, glass=(1.0, 0.9, 0.8)))
+    scene = staged(floor(), ball((0, 0, 0.7), 0.4, 32), materials=(GREY, tinted), lights=[light])
+    size = 1024
+    atlas = CausticAtlas(scene, size, threads=1)
+    tracemalloc.start()
+    atlas.image([light], 2_500)
+    peak = tracemalloc.get_traced_memory()[1]
+    held = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    image = 3 * 4 * size * size
+    assert peak < 20 * image
+    assert held < 3 * image
