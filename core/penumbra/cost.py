@@ -43,6 +43,10 @@ POLYGON = 3e-7
 """Seconds to prepare a polygon for a lamp, on one thread while the others wait."""
 
 
+LEAST_SAVED = 0.25
+"""Part of the rays' time that a few clusters must promise to save: less is lost in what they don't tell."""
+
+
 class Cost:
     """The one place that decides. samples: of the lamp. always: "lines" or "rays" for tests and charts."""
 
