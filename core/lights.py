@@ -377,6 +377,12 @@ def _beam(rows, place, normal, width, height, round_, axes) -> _Lit:
     return _Lit(rows, free.astype(np.float32), weight, weight, _to_world(axes, 0 * z[None], 0 * z[None], -z[None]))
 
 
+def soft_box_norm(half: float) -> float:
+    """What makes the light of a soft box of `half` its spread, rad, as much as that of one without a grid."""
+    # ∫ cos (1 − tan/slope) sin over the cone, inverted; third order where digits cancel
+    return 3 / half**3 if half < 0.05 else 1 / (np.tan(half) - half)
+
+
 def _soft_box(light, rows, place, normal, width, height, round_, axes, strata) -> _Lit:
     """An area lamp with a spread: radiance falls as tan(spread/2) − tan(angle), to zero at spread/2.
 
@@ -385,8 +391,7 @@ def _soft_box(light, rows, place, normal, width, height, round_, axes, strata) -
     """
     half = light.spread / 2
     slope = np.tan(half)
-    # ∫ cos (1 − tan/slope) sin over the cone, inverted; third order where digits cancel
-    norm = 3 / half**3 if half < 0.05 else 1 / (slope - half)
+    norm = soft_box_norm(half)
     x, y, z = place
     radius = _F(slope) * z
     low, high = np.maximum(-height / 2, y - radius), np.minimum(height / 2, y + radius)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..lights import soft_box_norm, spot_cone
 from ..sampling import concentric_disk, frame, hammersley_points, hash_uniform, spiral
 from ..scene import Light
 
@@ -120,7 +121,8 @@ def is_soft(light: Light) -> bool:
 
 
 def emitters(light: Light, bounds: Bounds, count: int, seed: int = 0, extent: float = 0.0) -> list[Emitter]:
-    """Of a lamp towards an object. bounds: of the object (`Surfaces.bounding`). count: points of a soft lamp. extent: of the scene, m, from beyond which sunlight comes. None where none of its light can meet it."""
+    """Of a lamp towards an object. bounds: of the object (`Surfaces.bounding`). count: points of a soft lamp.
+    extent: of the scene, m, from beyond which sunlight comes. None where none of its light can meet it."""
     count = count if is_soft(light) else 1
     disk = concentric_disk(hammersley_points(count, seed)).astype(np.float64) if count > 1 else np.zeros((1, 2))
     make = {"SUN": _sun, "AREA": _panel, "POINT": _ball, "SPOT": _ball}[light.kind]
@@ -131,24 +133,17 @@ def emitters(light: Light, bounds: Bounds, count: int, seed: int = 0, extent: fl
 def intensity(light: Light, direction: np.ndarray) -> np.ndarray:
     """(n,) W/sr of a point of a lamp of unit power along (3, n) unit directions."""
     axes = light.matrix[:3, :3] / np.linalg.norm(light.matrix[:3, :3], axis=0)
-    x, y, z = axes[:, 0] @ direction, axes[:, 1] @ direction, -(axes[:, 2] @ direction)
     if light.kind == "POINT":
         return np.full(direction.shape[1], 0.25 / np.pi)
     if light.kind == "SPOT":
-        if tuple(light.size) != (1.0, 1.0):
-            x, y = x / light.size[0], y / light.size[1]
-            z = z / np.sqrt(np.maximum(x * x + y * y + z * z, 1e-20))
-        edge = np.cos(light.spot_angle / 2)
-        step = np.clip((z - edge) / max((1 - edge) * light.spot_blend, 1e-7), 0, 1)
-        return step * step * (3 - 2 * step) * (0.25 / np.pi)
+        return spot_cone(light, -direction) * (0.25 / np.pi)
+    x, y, z = axes[:, 0] @ direction, axes[:, 1] @ direction, -(axes[:, 2] @ direction)
     forward = np.maximum(z, 0)
     if light.spread >= np.pi:
         return forward / np.pi
     half = light.spread / 2
     slope = np.tan(half)
-    # as in lights._soft_box
-    norm = 3 / half**3 if half < 0.05 else 1 / (slope - half)
-    grid = np.maximum(slope - np.hypot(x, y) / np.maximum(forward, 1e-9), 0) * norm
+    grid = np.maximum(slope - np.hypot(x, y) / np.maximum(forward, 1e-9), 0) * soft_box_norm(half)
     return np.where(forward > 0, forward * grid / np.pi, 0)
 
 

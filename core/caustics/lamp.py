@@ -42,6 +42,9 @@ WHOLE = 200_000
 PART = 200_000
 """Photons of a part, about."""
 
+LEAST_GRIDS = 0.5
+"""Part of the photons that the coarsest grids of all points and objects may take together: the rest refines."""
+
 PER_POINT = 2_500
 """Photons a point of a soft lamp, about."""
 
@@ -120,8 +123,12 @@ class LampCaustics:
         self._plant(1, FIRST)
         yield
         if soft and self._trees:
-            self._plant(int(np.clip(self.photons // PER_POINT, 4, 256)), BASE * self.photons)
-            yield
+            points = int(np.clip(self.photons // PER_POINT, 4, 256))
+            # with many objects fewer points of the lamp: each of the trees so far is to stand at every point
+            points = min(points, int(LEAST_GRIDS * self.photons / (_grid(1) * len(self._trees))))
+            if points > 1:
+                self._plant(points, BASE * self.photons)
+                yield
         if not self._trees:
             return
         whole = min(self.photons, WHOLE)
@@ -237,7 +244,12 @@ class LampCaustics:
         coarser = (self._family > 0).astype(np.int64)
         each = photons / (0.25**coarser).sum()
         level = int(np.clip(np.round(np.log2(max(np.sqrt(each) - 1, 1) / 2)), 2, 7))
-        self._forest = Forest(self._photons, np.maximum(level - coarser, 2))
+        # many objects share what there is: grids as coarse as that leaves to refine
+        room = LEAST_GRIDS * self.photons
+        least = next((k for k in (2, 1) if _grid(k) * len(self._trees) <= room), 0)
+        self._forest = Forest(
+            self._photons, np.maximum(level - coarser, 2) if least == 2 else np.full(len(coarser), least)
+        )
 
     def _refine_worst(self, forest: Forest, photons: float) -> bool:
         """Refine the patches with the highest scores by about so many photons; False where there is nothing to do."""
@@ -283,6 +295,11 @@ class LampCaustics:
         grazes = (found.path == 0) & (self._family[tree] & 1 == 1)
         carried = landed.mean(axis=1) + np.where(grazes, GRAZING, found.escaped) * power
         return Photons(np.ascontiguousarray(place), landed, carried, signature, chart, rest)
+
+
+def _grid(level: int) -> int:
+    """Photons of a tree's first grid."""
+    return ((2 << level) + 1) ** 2
 
 
 def _signature(path, lands, placed, where):

@@ -243,3 +243,18 @@ def test_what_is_held_while_light_is_spread_is_little():
     image = 3 * 4 * size * size
     assert peak < 20 * image
     assert held < 3 * image
+
+
+def test_many_casters_share_the_photons():
+    """40 balls under a soft lamp: no more photons than asked for, and most of them refine."""
+    light = lamp((0, 0, 2.5), radius=0.1)
+    balls = [ball((-1.5 + k % 7 / 2, -1.5 + k // 7 / 2, 0.3), 0.1, 12, name=f"Ball {k}") for k in range(40)]
+    scene = staged(floor(4), *balls, materials=(GREY, glass()), lights=[light])
+    photons = 20_000
+    atlas = CausticAtlas(scene, 32)
+    last = list(atlas.refine([light], photons))[-1]
+    assert 0.8 * photons < last.photons < 1.1 * photons
+    lamp_ = atlas._lamps[light.geometry]
+    coarsest = lamp_._forest.level.min()
+    assert (lamp_._forest.level > coarsest).mean() > 0.5
+    assert np.isclose(closed(atlas.energy(light)), 1, atol=0.03)
