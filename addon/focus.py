@@ -42,4 +42,4 @@ class Focus:
 
 
 def _alike(first: Landings, second: Landings) -> bool:
-    return first.power.shape == second.power.shape and np.array_equal(first.power, second.power)
+    return all(np.array_equal(getattr(first, name), getattr(second, name)) for name in ("power", "position", "normal"))
