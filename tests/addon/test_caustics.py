@@ -10,6 +10,7 @@ bpy = pytest.importorskip("bpy")
 
 from lightpanes.addon import caustics, commands, following, live_image, relight, store  # noqa: E402
 from lightpanes.addon import panel as drawn_panel  # noqa: E402
+from lightpanes.core.caustics import CausticAtlas  # noqa: E402
 
 from .drawing import draw, texts  # noqa: E402
 from .files import baked_once, reopen  # noqa: E402
@@ -192,12 +193,15 @@ def test_a_deleted_ball_and_a_deleted_image(baked):
     assert store.find_image(baked, store.CAUSTICS) is None
 
 
-def test_a_lamp_that_is_baked_in(glass):
+def test_a_lamp_that_is_baked_in(glass, monkeypatch):
     glass.lightpanes.photons = 20_000
     assert bpy.ops.lightpanes.bake() == {"FINISHED"}
     live, bounced = image(), image(store.IRRADIANCE)
     bpy.data.lights["Lamp"].lightpanes.live = False
+    asked, image_of = [], CausticAtlas.image
+    monkeypatch.setattr(CausticAtlas, "image", lambda self, *given: asked.append(given[1:]) or image_of(self, *given))
     assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    assert (20_000,) in asked, "its bounces take as many photons as are asked for"
     assert np.allclose(image(), live, rtol=1e-4, atol=1e-5)
     # the entries' light, caustics included, whoever brings it
     own = store.load_bake(glass).own
