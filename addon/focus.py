@@ -42,4 +42,4 @@ class Focus:
 
 
 def _alike(first: Landings, second: Landings) -> bool:
-    return all(np.array_equal(getattr(first, name), getattr(second, name)) for name in ("power", "position", "normal"))
+    return all(np.array_equal(getattr(first, k), getattr(second, k)) for k in ("power", "position", "normal"))

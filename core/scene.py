@@ -26,11 +26,11 @@ class Optics:
         them, weights multiplied in; equal where it does not depend on the angle.
     glass: tint of light that is refracted at one crossing; gloss: tint of what a dielectric reflects by Fresnel's
         equations. Weights are multiplied in; both black where the surface lets nothing in.
+    clear: the part of light that passes straight on beside these lobes (alpha, a mix with Transparent), without what
+        glass refracts, in [0, 1]. Shadow rays carry it where caustics are on.
     ior: refractive index of the inside over that of the outside, the side that normals point to.
     absorption: of the inside, 1/m (Beer and Lambert).
     roughness: as Blender's sliders have it, in [0, 1]; of the roughest lobe that counts.
-    clear: part of the light that passes straight on beside all of these, by alpha or a transparent shader; no part of
-        `glass`.
     """
 
     mirror: tuple[float, float, float] = (0.0, 0.0, 0.0)
