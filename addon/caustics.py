@@ -33,6 +33,9 @@ FEWEST, MOST = 5_000, 2_000_000
 SLICE = 0.04
 """s that a picture is refined while a lamp is dragged."""
 
+UNTRACED = 0.02
+"""Part of the lamps' light that may be lost on the way without a word."""
+
 STREAM = 0.1
 """s between two pictures that are shown on the way to the finest."""
 
@@ -67,15 +70,17 @@ class Held(live_image.Held):
 
 @dataclass(frozen=True)
 class Landed:
-    """Where the photons of lamps fall: (lamp, its `core.Landings`) each. key: another one each time."""
+    """Where the photons of lamps fall: (lamp, its `core.Landings`) each. key: another one each time. asked: key of what
+    was asked for."""
 
     landings: tuple[tuple[Light, core.Landings], ...] = ()
     key: int = 0
+    asked: str = ""
 
     @classmethod
-    def of(cls, atlas: CausticAtlas, lights: Iterable[Light]) -> Landed:
+    def of(cls, atlas: CausticAtlas, asked: Asked) -> Landed:
         """As the atlas has them."""
-        return cls(tuple((light, atlas.landings(light)) for light in lights), next(_numbers))
+        return cls(tuple((light, atlas.landings(light)) for light in asked.lights), next(_numbers), asked.key)
 
 
 class Traced:
@@ -144,7 +149,7 @@ class _Caustics(LiveImage):
         from . import relight
 
         atlas = mine.atlas.atlas
-        mine.energy, mine.landed = _energy(atlas, asked.lights), Landed.of(atlas, asked.lights)
+        mine.energy, mine.landed = _energy(atlas, asked.lights), Landed.of(atlas, asked)
         relight.bounce(scene)
 
 
@@ -173,21 +178,46 @@ def _perhaps(scene) -> tuple[str, ...]:
 
 def _by_materials(scene) -> tuple[str, ...]:
     looks: dict[bpy.types.Material, bool] = {}
-    names = []
-    for item in scene.objects:
-        used = {slot.material for slot in item.material_slots if slot.material is not None}
-        for material in used:
-            if material not in looks:
-                looks[material] = is_made_of(material)
-        if store.TAG not in item and any(looks[material] for material in used):
-            names.append(item.name)
-    return tuple(names)
+
+    def made_of(material):
+        own = material.original
+        if own not in looks:
+            looks[own] = is_made_of(own)
+        return looks[own]
+
+    names = [
+        item.name
+        for item in scene.objects
+        if store.TAG not in item and any(made_of(slot.material) for slot in item.material_slots if slot.material)
+    ]
+    if scene == bpy.context.scene:
+        # instances, and what modifiers give a material
+        for instance in bpy.context.evaluated_depsgraph_get().object_instances:
+            item = instance.object
+            if item.type != "MESH" or store.TAG in item.original:
+                continue
+            slots = [slot.material for slot in item.material_slots]
+            if any(made_of(material) for material in {*slots, *item.data.materials} if material is not None):
+                owner = f"{instance.parent.original.name}: " if instance.is_instance else ""
+                names.append(owner + item.original.name)
+    return tuple(dict.fromkeys(names))
 
 
 def is_made_of(material: bpy.types.Material) -> bool:
     """Whether caustics may come of a material."""
     optics = read_optics(material, [])
     return optics is not None and optics.roughness <= core.SHARP
+
+
+def concerns(scene: bpy.types.Scene, material: bpy.types.Material) -> bool:
+    """Whether caustics may come of a material, or came of it until now."""
+    if is_made_of(material):
+        return True
+    mine = known(scene)
+    owners = (
+        bpy.data.objects.get(name.rpartition(": ")[2]) for name in (mine.casters or () if mine is not None else ())
+    )
+    return any(slot.material == material for item in owners if item is not None for slot in item.material_slots)
 
 
 def make_tracer(surfaces: Scene) -> Tracer:
@@ -254,7 +284,7 @@ def values(context: bpy.types.Context, scene: bpy.types.Scene, asked: Asked, rea
         if not _prepare(context, scene, mine, read):
             return None
         image = _image.value(context, scene, asked, read)
-        mine.landed = Landed.of(mine.atlas.atlas, asked.lights)
+        mine.landed = Landed.of(mine.atlas.atlas, asked)
         return image[..., :3]
 
 
@@ -301,14 +331,20 @@ def look_anew(scene: bpy.types.Scene) -> None:
 
 def need_landings(scene: bpy.types.Scene) -> None:
     """Before the irradiance is worked out anew: it needs to know where the light falls that the image shows."""
-    if is_baked(scene) and not held(scene).landed.key:
+    if is_baked(scene) and held(scene).landed.asked != held(scene).shown:
+        # not known, or those of a frame that was only written to a file
         held(scene).shown = ""
 
 
 def can_follow(scene: bpy.types.Scene, item: bpy.types.ID) -> bool:
     """Whether something that was moved casts caustics which are read fast enough to follow it."""
     mine = known(scene)
-    return mine is not None and bool(mine.casters) and mine.reading < READING and item.name in mine.casters
+    if mine is None or not mine.casters or mine.reading >= READING:
+        return False
+    # of an instance: what makes it, and what it is one of
+    return any(
+        item.name == name or item.name in (name.partition(": ")[0], name.rpartition(": ")[2]) for name in mine.casters
+    )
 
 
 def landed(scene: bpy.types.Scene) -> Landed:
@@ -373,6 +409,12 @@ def sentences(scene: bpy.types.Scene) -> list[str]:
     """What the user should know about the scene's caustics."""
     mine = known(scene)
     told = [mine.error] if mine is not None and mine.error else []
+    energy = mine.energy if mine is not None else {}
+    if energy.get("untraced", 0.0) > UNTRACED * energy.get("emitted", 0.0):
+        told.append(
+            f"{100 * energy['untraced'] / energy['emitted']:.0f} % of the light that lamps send to what casts caustics is "
+            "lost in it, after too many mirrors or sheets of glass: the caustics are that much too dark."
+        )
     lit = sorted(item.name for item in vertices.lit(scene))
     if lit:
         names = ", ".join(f"'{name}'" for name in lit)

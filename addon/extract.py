@@ -373,6 +373,8 @@ def fingerprint(context: bpy.types.Context) -> dict[str, str]:
             meshes[key] = _mesh_digest(obj.data)
         digest.update(meshes[key])
         digest.update(np.array(instance.matrix_world, np.float32).tobytes())
+        if not obj.original.visible_shadow:
+            digest.update(b"no shadow")
         for slot in obj.material_slots:
             if slot.material is not None and slot.material.original not in looks:
                 looks[slot.material.original] = materials.digest(slot.material.original)
@@ -396,6 +398,18 @@ def _mesh_digest(mesh) -> bytes:
     )
     if len(mesh.loops):
         digest.update(read_attribute(mesh, ".corner_vert", len(mesh.loops), 1, "value", np.int32).tobytes())
+    # how it is shaded; without any of them it is smooth
+    for name, kind, count in (
+        ("sharp_face", "BOOLEAN", len(mesh.polygons)),
+        ("sharp_edge", "BOOLEAN", len(mesh.edges)),
+        ("custom_normal", "INT16_2D", len(mesh.loops)),
+    ):
+        held = mesh.attributes.get(name)
+        if held is not None and held.data_type == kind and count:
+            values = np.empty(count * (2 if kind == "INT16_2D" else 1), bool if kind == "BOOLEAN" else np.int32)
+            held.data.foreach_get("value", values)
+            if values.any():
+                digest.update(name.encode() + values.tobytes())
     if "material_index" in mesh.attributes and len(mesh.polygons):
         digest.update(read_attribute(mesh, "material_index", len(mesh.polygons), 1, "value", np.int32).tobytes())
     return digest.digest()

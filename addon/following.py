@@ -17,7 +17,7 @@ def _on_update(scene, depsgraph):
         return
     if bpy.app.background:
         worked = direct.is_baked(scene) or caustics.is_baked(scene)
-        if worked and any(_may_stale(relight.session(scene), change) for change in depsgraph.updates):
+        if worked and any(_may_stale(scene, relight.session(scene), change) for change in depsgraph.updates):
             relight.look_again(scene, extract.fingerprint(bpy.context))
         relight.update(scene, depsgraph)
         return
@@ -25,7 +25,7 @@ def _on_update(scene, depsgraph):
     if not bpy.app.timers.is_registered(_update_later):
         bpy.app.timers.register(_update_later, first_interval=0.0)
     current = relight.session(scene)
-    edits = [change for change in depsgraph.updates if _may_stale(current, change)]
+    edits = [change for change in depsgraph.updates if _may_stale(scene, current, change)]
     current.wrote_meshes = False
     if any(caustics.can_follow(scene, change.id) for change in edits):
         _follow_glass_later()
@@ -35,7 +35,7 @@ def _on_update(scene, depsgraph):
         bpy.app.timers.register(_stale_later, first_interval=STALE_DELAY)
 
 
-def _may_stale(current: relight.Session, change) -> bool:
+def _may_stale(scene: bpy.types.Scene, current: relight.Session, change) -> bool:
     """Whether a change can make the bake stale: to an object's shape or place, to the world, or to a lamp that is
     baked in."""
     lamp = isinstance(change.id, bpy.types.Light) or (
@@ -46,11 +46,12 @@ def _may_stale(current: relight.Session, change) -> bool:
     if isinstance(change.id, bpy.types.World):
         return True
     if isinstance(change.id, bpy.types.Material):
-        return caustics.is_made_of(change.id.original)
+        return caustics.concerns(scene, change.id.original)
     if not isinstance(change.id, bpy.types.Object) or store.TAG in change.id:
         return False
     own = current.wrote_meshes and meshes.AT_VERTICES in change.id
-    return change.is_updated_transform or (change.is_updated_geometry and not own)
+    # shading also says that something was hidden from renders or casts no shadow any more
+    return change.is_updated_transform or ((change.is_updated_geometry or change.is_updated_shading) and not own)
 
 
 def _follow_glass_later():

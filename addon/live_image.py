@@ -230,6 +230,8 @@ class LiveImage:
         """Before images are packed: say which lamps and surfaces they show."""
         image, mine = store.find_image(scene, self.role), self._held.get(scene.session_uid)
         if image is not None and mine is not None and image.is_dirty:
+            # copies of a scene share it, and one of them has written it
+            mine = next((each for each in self._held.values() if each.bake == mine.bake and each.shown), mine)
             image[PACKED], image[SURFACES] = mine.shown, mine.surfaces
 
     def look_again(self, scene: bpy.types.Scene, fingerprint: dict[str, str]) -> bool:
@@ -316,6 +318,10 @@ class LiveImage:
     def _take_up(self, scene, mine: Held, what: Asked, image: np.ndarray, full: bool) -> None:
         self.show(scene, mine, what, image, full)
         mine.coarse, mine.shown, mine.error = what.key, "", ""
+        for other in self._held.values():
+            if other is not mine and other.bake == mine.bake:
+                # of a copy of the scene, which shows the same image
+                other.shown = other.coarse = ""
         if full:
             self._done(scene, mine, what)
 

@@ -157,13 +157,14 @@ def relight(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph | None = 
     return current.milliseconds
 
 
-def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, at_once: bool = True) -> bool:
+def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, at_once: bool = True, asked: bool = False) -> bool:
     """Relight if a lamp differs from what the images show; True when it did.
 
-    at_once: the lamps' direct light, too, where it is baked; else that follows soon.
+    at_once: the lamps' direct light, too, where it is baked; else that follows soon. asked: even where the scene does not
+    follow them by itself.
     For handlers: what the user must know goes to the console and into the session, for the panel, once.
     """
-    if _holds or not scene.lightpanes.live or not _lock.acquire(blocking=False):
+    if _holds or not (scene.lightpanes.live or asked) or not _lock.acquire(blocking=False):
         return False
     try:
         current = session(scene)
@@ -347,8 +348,9 @@ def switch_caustics(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
         return
     with _lock:
         _switch_caustics(scene, current)
-    if scene == context.scene and scene.lightpanes.live:
-        update(scene, context.evaluated_depsgraph_get())
+    if scene == context.scene:
+        # also where nothing follows the lamps: glass that is shadowed without its caustics is no state to stay in
+        update(scene, context.evaluated_depsgraph_get(), asked=True)
     areas.redraw_panel()
 
 

@@ -36,7 +36,8 @@ class Settings:
     time_budget: s for the whole bake, 0 for none. resolution: of the atlas, texels a side. seed: of all
     random numbers. entries, entry_rays, exit_rays, regions, panes, lamps, points, point_rays: budgets to use instead of
     the planner's; None leaves them to it. exits: where light is gathered, "points" or "texels"; "auto" takes points
-    where they are cheaper; "atlas" gathers at points and spreads their panes to all texels, for engines.
+    where they are cheaper; "atlas" gathers at points and spreads their panes to all texels, for engines. photons: of each
+    lamp that is not live, for its caustics.
 
     Raises SceneError for values that make no sense.
     """
@@ -54,6 +55,7 @@ class Settings:
     points: int | None = None
     point_rays: int | None = None
     exits: str = "auto"
+    photons: int = 40_000
 
     def __post_init__(self):
         if not 1e-3 <= self.error_target <= 1:
@@ -62,6 +64,8 @@ class Settings:
             raise SceneError(f"The time budget is {self.time_budget} s; use 0 for none, or a positive number.")
         if not 16 <= self.resolution <= 8192:
             raise SceneError(f"The resolution is {self.resolution}; use 16 to 8192 texels.")
+        if self.photons < 1:
+            raise SceneError(f"Caustics have {self.photons} photons a lamp; use a positive number.")
         if self.exits not in EXITS:
             raise SceneError(f"Exits are at {self.exits!r}; use one of {', '.join(EXITS)}.")
         for name in Budget.__dataclass_fields__:

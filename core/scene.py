@@ -31,8 +31,6 @@ class Optics:
     ior: refractive index of the inside over that of the outside, the side that normals point to.
     absorption: of the inside, 1/m (Beer and Lambert).
     roughness: as Blender's sliders have it, in [0, 1]; of the roughest lobe that counts.
-    clear: part of the light that passes straight on beside all of these, by alpha or a transparent shader; no part of
-        `glass`.
     """
 
     mirror: tuple[float, float, float] = (0.0, 0.0, 0.0)

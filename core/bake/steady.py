@@ -43,13 +43,15 @@ def static_light(scene: Scene, surface: EntrySurface, tracer: Tracer, seed: int)
     return sum(_coloured(eyes.unit(light), light) for light in lamps)
 
 
-def static_caustics(scene: Scene, surface: EntrySurface, resolution: int, tracer: Tracer, seed: int) -> np.ndarray:
+def static_caustics(
+    scene: Scene, surface: EntrySurface, resolution: int, tracer: Tracer, seed: int, photons: int
+) -> np.ndarray:
     """(n, 3) float32 irradiance of the entries, W/m², by what mirrors and glass make of the light of lamps that are not
-    live."""
+    live. photons: of each of them."""
     atlas = CausticAtlas(scene, resolution, seed=seed)
     lamps = static_lamps(scene)
     # all at once, for it holds the last ones
-    atlas.image(lamps)
+    atlas.image(lamps, photons)
     focused = CausticLight(surface, atlas.landings, tracer.offset)
     return sum(_coloured(focused.unit(light), light) for light in lamps)
 

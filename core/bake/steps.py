@@ -197,7 +197,7 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
     static = static_light(scene, surface, tracer, seed)
     arriving = static
     if static is not None and surfaces.focuses:
-        arriving = static + static_caustics(scene, surface, surfaces.resolution, tracer, seed)
+        arriving = static + static_caustics(scene, surface, surfaces.resolution, tracer, seed, settings.photons)
     steady, shine = steady_light(scene.sky, bins, entries, transport, arriving)
     tables = _tables(modes, steady, shine, gatherer.size)
     if test_direct is None:
