@@ -75,7 +75,7 @@ class Cost:
             return True
         rays, candidate, _ = self._seconds()
         saved = np.maximum(rays - blocks * (candidate / LOOSE), 0).mean() * clusters
-        return bool(saved > threads * POLYGON * polygons + clusters * SHAFT)
+        return bool(saved > threads * POLYGON * polygons + clusters * (SHAFT + LEAST_SAVED * rays))
 
     def most_candidates(self) -> float:
         """Polygons that boxes leave to a cluster at which it is left to rays."""
