@@ -69,9 +69,9 @@ def test_the_world_is_looked_at_again_when_it_changes(world, monkeypatch):
     bpy.ops.lightpanes.bake()
     seen = []
 
-    def note(_scene, depsgraph):
-        current = relight.session(bpy.context.scene)
-        seen.extend(change.id.name for change in depsgraph.updates if following._may_stale(current, change))
+    def note(scene, depsgraph):
+        current = relight.session(scene)
+        seen.extend(change.id.name for change in depsgraph.updates if following._may_stale(scene, current, change))
 
     bpy.app.handlers.depsgraph_update_post.append(note)
     try:
