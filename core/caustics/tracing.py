@@ -14,8 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..optics import fresnel, reflect, refract, schlick
 from ..threads import in_threads
-from .optics import dot, fresnel, normalised, reflect, refract, schlick
+from ..vectors import dot, normalised
 from .surfaces import BENDS, LANDS, PASSES, Surfaces
 
 CHUNK = 16_384

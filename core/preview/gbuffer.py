@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..lights import sky_radiance
+from ..optics import fresnel, reflect, refract, schlick
 from ..rays import chunks
 from ..sampling import frame, hash_uniform
 from ..scene import Optics, Sky
 from ..threads import in_threads
+from ..vectors import scaled
 from .camera import Camera
 from .surfaces import Surfaces
-from .vectors import scaled
 
 CHUNK = 1 << 14
 """Pixels that are traced together."""
@@ -196,7 +197,8 @@ def _choose(surfaces, optics, rows, triangle, u, v, albedo, material, way, norma
     straight[clear] = surfaces.transmission.at(triangle[clear], u[rows[clear]], v[rows[clear]])
     get = {name: values[material] for name, values in optics.values.items()}
     glassy = get["glass"].any(axis=1)
-    straight[glassy] = 0  # bent instead
+    # the rest is bent instead
+    straight[glassy] = get["clear"][glassy]
     # rough lobes look along a facet's normal (GGX)
     alpha2 = np.minimum(get["roughness"] ** 4, 1)
     steep = alpha2 * a / np.maximum(1 - a, 1e-6)
@@ -212,13 +214,9 @@ def _choose(surfaces, optics, rows, triangle, u, v, albedo, material, way, norma
     # which side of the surface the ray comes from: normals of the winding point outside
     outside = np.einsum("nd,nd->n", way, surfaces.flat[triangle]) < 0
     eta = np.where(outside, 1 / get["ior"], get["ior"])
-    cos2 = 1 - eta * eta * (1 - cosine * cosine)
-    total = cos2 <= 0
-    beyond = np.sqrt(np.maximum(cos2, 0))
-    fresnel = np.where(total, 1, _fresnel(cosine, beyond, eta))
-    schlick = (1 - cosine[:, None]) ** 5
-    mirror = get["mirror"] + (get["mirror_edge"] - get["mirror"]) * schlick + get["gloss"] * fresnel[:, None]
-    glass = get["glass"] * (1 - fresnel)[:, None]
+    reflectance, beyond = fresnel(cosine, eta)
+    mirror = schlick(get["mirror"], get["mirror_edge"], cosine[:, None]) + get["gloss"] * reflectance[:, None]
+    glass = get["glass"] * (1 - reflectance)[:, None]
     lobes = np.stack([albedo[rows], straight, mirror, glass])
     size = lobes.max(axis=2)
     whole = size.sum(axis=0)
@@ -226,8 +224,8 @@ def _choose(surfaces, optics, rows, triangle, u, v, albedo, material, way, norma
     lobe = np.minimum((chance * whole >= upto).sum(axis=0), 3)
     k = np.arange(len(rows))
     share = size[lobe, k] / np.maximum(whole, 1e-20)
-    bounced = way + 2 * cosine[:, None] * facet
-    bent = eta[:, None] * way + (eta * cosine - beyond)[:, None] * facet
+    bounced = reflect(way.T, facet.T).T
+    bent = refract(way.T, facet.T, cosine, beyond, eta).T
     onward = np.select([lobe[:, None] == _MIRROR, lobe[:, None] == _GLASS], [bounced, bent], way)
     onward /= np.maximum(np.linalg.norm(onward, axis=1, keepdims=True), 1e-20)
     swallowed = np.where(outside[:, None], get["absorption"], 0)
@@ -236,13 +234,6 @@ def _choose(surfaces, optics, rows, triangle, u, v, albedo, material, way, norma
     factor = np.where(diffuse[:, None], 1, lobes[lobe, k]) / np.maximum(share, 1e-20)[:, None]
     factor[whole <= 0] = 0
     return lobe, factor.astype(np.float32), onward.astype(np.float32), swallowed.astype(np.float32)
-
-
-def _fresnel(cosine, beyond, eta):
-    """Reflectance of a dielectric, the mean of both polarisations. eta: index before over index behind."""
-    s = (eta * cosine - beyond) / np.maximum(eta * cosine + beyond, 1e-20)
-    p = (cosine - eta * beyond) / np.maximum(cosine + eta * beyond, 1e-20)
-    return (s * s + p * p) / 2
 
 
 def background(camera: Camera, sky: Sky | None, transparent: bool = False) -> np.ndarray:

@@ -15,7 +15,7 @@ import numpy as np
 from ..lights import NEAREST, SUN_REACH, spot_cone
 from ..rays import Tracer
 from ..scene import Light
-from .vectors import around, dot, join, scaled, split
+from ..vectors import around, dot, join, scaled, split
 
 MOST_LAMPS = 4
 """Lamps that a point asks in one frame; with more each point picks so many of them."""

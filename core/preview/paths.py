@@ -11,11 +11,11 @@ from ..rays import chunks
 from ..sampling import hash_uint32, hash_uniform
 from ..scene import Sky
 from ..threads import in_threads
+from ..vectors import scaled
 from .gbuffer import CHUNK
 from .light import Baked, Lamps
 from .looks import corner_values, sample
 from .surfaces import Surfaces
-from .vectors import scaled
 
 FEED = (0.25, 0.0625)
 """Part of the secondary hits from which paths go on to feed the coarse cache, in the first FEEDING frames and at last;

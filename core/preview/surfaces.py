@@ -11,8 +11,8 @@ from ..caustics import casters
 from ..rays import LAYERS, Bvh, Tracer
 from ..scene import Scene
 from ..surface.samples import unit
+from ..vectors import around, dot, join, split
 from .looks import Looks, Texture, corner_values
-from .vectors import around, dot, join, split
 
 SMOOTH = 0.9999
 """Cosine between a corner's normal and the face's own, below which a triangle counts as smoothly shaded."""

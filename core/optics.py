@@ -7,17 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from .vectors import dot
+
 _F = np.float32
-
-
-def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(n,) scalar products of (3, n) vectors."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def normalised(v: np.ndarray) -> np.ndarray:
-    """(3, n) vectors of length 1."""
-    return v / np.sqrt(np.maximum(dot(v, v), _F(1e-30)))
 
 
 def fresnel(cosine: np.ndarray, relative: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -39,10 +39,16 @@ def outer(values: np.ndarray, colour: np.ndarray) -> np.ndarray:
 
 
 def dot(a, b) -> np.ndarray:
+    """(n,) scalar products."""
     result = a[0] * b[0]
     result += a[1] * b[1]
     result += a[2] * b[2]
     return result
+
+
+def normalised(v: np.ndarray) -> np.ndarray:
+    """(3, n) vectors of length 1."""
+    return v / np.sqrt(np.maximum(dot(v, v), _F(1e-30)))
 
 
 def around(axis, a, b, c) -> list[np.ndarray]:
