@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..scene import Light
+from .borders import sharpen
 from .deposit import deposit
 from .emission import Emitter, emitters, is_soft
 from .families import families, followed
@@ -29,6 +30,9 @@ PASSES = 5
 
 SOFT = 16
 """Points of a soft lamp; more where there are photons for them."""
+
+SHARPEN = 0.1
+"""Part of the photons that finds the borders across the patches which are left divided."""
 
 NEW = 10
 """New photons of a refined patch, about; it has sixteen, some of them its neighbours' too."""
@@ -132,6 +136,8 @@ class LampCaustics:
         if not self._trees:
             return
         whole = min(self.photons, WHOLE)
+        last = SHARPEN * whole
+        whole -= last
         while self.used < BASE * whole:
             if not self._refine_worst(self._forest, BASE * whole - self.used):
                 break
@@ -141,6 +147,7 @@ class LampCaustics:
                 break
             if step < PASSES - 1:
                 yield
+        self._sharpen(self._forest, last)
         if self.photons > self.used >= 0.9 * WHOLE:
             yield
             yield from self._in_parts()
@@ -261,6 +268,11 @@ class LampCaustics:
         forest.refine(rows)
         self._power = None
         return True
+
+    def _sharpen(self, forest: Forest, photons: float) -> None:
+        """Find the borders across patches whose photons differ, with about so many photons."""
+        if sharpen(forest, photons):
+            self._power = None
 
     def _photons(self, tree: np.ndarray, s: np.ndarray, t: np.ndarray) -> Photons:
         """Trace photons at places of trees; tree (n,) int sorted."""

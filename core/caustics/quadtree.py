@@ -26,7 +26,7 @@ BITS = LEVELS + 2
 DIVIDED = 1.0
 """Weight of a patch whose photons took different ways and some of them landed, over one that is as wrong as can be."""
 
-DARK = 0.2
+DARK = 0.1
 """The same where none of them landed, though one that lies between them may."""
 
 FLOOR = 4.0
@@ -105,6 +105,8 @@ class Forest:
         self._trace = trace
         self._keys = np.zeros(0, np.int64)
         self._rows = np.zeros(0, np.int64)
+        # of each photon
+        self._key = np.zeros(0, np.int64)
         self.photons: Photons | None = None
         self.tree = np.repeat(np.arange(len(levels), dtype=np.int32), 4 ** levels.astype(np.int64))
         self.level = levels[self.tree].astype(np.int8)
@@ -184,18 +186,37 @@ class Forest:
         lattice = np.empty((len(chosen), 25), np.int32)
         lattice[:, _OLD], lattice[:, _NEW] = self.corner[chosen], rows
         error = self._errors(self.corner[chosen], rows)
+        corner = lattice[:, _CHILD].reshape(-1, 9)
+        error = error.ravel()
+        unknown = np.flatnonzero(np.isinf(error))
+        unknown = unknown[kinds_of(self.photons.signature[corner[unknown]])[0]]
+        error[unknown] = self._bent(corner[unknown])
         self._replace(
             chosen,
-            corner=lattice[:, _CHILD].reshape(-1, 9),
+            corner=corner,
             tree=np.repeat(tree, 4),
             level=np.repeat(level + 1, 4).astype(np.int8),
             x=(x[:, None] + np.array([0, 0, 2, 2]) * quarter[:, None]).ravel().astype(np.int32),
             y=(y[:, None] + np.array([0, 2, 0, 2]) * quarter[:, None]).ravel().astype(np.int32),
-            error=error.ravel(),
+            error=error,
         )
         new = np.zeros(len(self), bool)
         new[-4 * len(chosen) :] = True
         return new
+
+    def halfway(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """(n,) rows of the photons halfway between those at rows (n,), which lie an even number of lattice steps apart on one
+        line; those that are not known are traced."""
+        return self._add(self._key[one] + self._key[other] >> 1)
+
+    def between(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """The same, −1 where none is known."""
+        return self._find(self._key[one] + self._key[other] >> 1)
+
+    def beyond(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """(n,) rows of the photons as far beyond the second as that is from the first, −1 where none is known."""
+        # a coordinate below 0 makes a key that no photon has
+        return self._find(2 * self._key[other] - self._key[one])
 
     def weights(self) -> np.ndarray:
         """(n,) float64: the part of its square that each photon stands for; all of a tree sum up to 1."""
@@ -211,10 +232,10 @@ class Forest:
         part.photons = self.photons.take(used)
         for name in ("tree", "level", "x", "y", "error"):
             setattr(part, name, getattr(self, name)[rows])
-        key = np.empty_like(self._keys)
-        key[self._rows] = self._keys
-        part._rows = np.argsort(key[used], kind="stable")
-        part._keys = key[used][part._rows]
+        # and those beside and between them, which tell where ways end
+        part._key = self._key[used]
+        part._rows = np.argsort(part._key, kind="stable")
+        part._keys = part._key[part._rows]
         return part
 
     def _replace(self, chosen, **new):
@@ -234,6 +255,18 @@ class Forest:
         error = off[_HELD].max(axis=1).T
         return np.where(alike[:, None], error, np.inf).astype(np.float32)
 
+    def _bent(self, corner):
+        """(m,) float32 texels, half of how far the middle one of three photons of patches (m, 9) in a row is off: a guess
+        at the error where the coarser patch was no beam, so that it says nothing."""
+        grid = self.photons.place[corner].reshape(-1, 3, 3, 2)
+        off = [grid[:, 0] - 2 * grid[:, 1] + grid[:, 2], grid[:, :, 0] - 2 * grid[:, :, 1] + grid[:, :, 2]]
+        return 0.5 * np.sqrt(np.max([(o * o).sum(axis=2).max(axis=1) for o in off], axis=0))
+
+    def _find(self, keys: np.ndarray) -> np.ndarray:
+        """(n,) rows of the photons at lattice keys (n,), −1 where there is none."""
+        at = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
+        return np.where(self._keys[at] == keys, self._rows[at], -1)
+
     def _add(self, keys: np.ndarray) -> np.ndarray:
         """(n,) rows of the photons at lattice keys (n,); those that are not known are traced."""
         names, back = np.unique(keys, return_inverse=True)
@@ -249,6 +282,7 @@ class Forest:
             tree, x, y = fresh >> 2 * BITS, fresh >> BITS & (1 << BITS) - 1, fresh & (1 << BITS) - 1
             found = self._trace(tree, x / SIDE, y / SIDE)
             self.photons = found if self.photons is None else self.photons.join(found)
+            self._key = np.concatenate([self._key, fresh])
             rows[rows < 0] = first + np.arange(len(fresh))
             # two sorted runs: a stable sort merges them
             merged = np.concatenate([self._keys, fresh])

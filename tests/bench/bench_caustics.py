@@ -73,8 +73,9 @@ class Bench:
         found = metrics.compare(
             self.irradiance(power), reference, self.mask, reference_halves=(self.halves[0], self.halves[1])
         )
-        blocks, _ = metrics.block_average(reference, self.mask)
-        return found.error * blocks.mean() / np.sqrt((blocks**2).mean()), found
+        blocks, texels = metrics.block_average(reference, self.mask)
+        level = np.sqrt(np.average(blocks[..., 0] ** 2, weights=texels))
+        return found.error * found.mean / level, found
 
 
 def prepare(name: str) -> Bench:
