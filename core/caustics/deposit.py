@@ -15,7 +15,6 @@ _BILINEAR = np.array(
 ) / np.float32(4)
 
 
-
 def deposit(
     forest: Forest, rows: np.ndarray, receivers: Receivers, samples: float, threads: int | None = None
 ) -> np.ndarray:

@@ -59,6 +59,24 @@ class Bounds(NamedTuple):
         return np.concatenate([self.points, (a[:, None] + (b - a)[:, None] * part).reshape(-1, 3) + origin])
 
 
+class Edges:
+    """An object's edges, longest first: those of triangles (t, 3, 3), m."""
+
+    def __init__(self, corners: np.ndarray):
+        ends = np.stack([corners, np.roll(corners, -1, axis=1)], 2).reshape(-1, 2, 3)
+        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        order = np.argsort(-length, kind="stable")
+        self._ends, self._length = ends[order], length[order]
+        self._low, self._high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+
+    def near(self, place: np.ndarray, reach: float) -> np.ndarray:
+        """(e, 2, 3) float32, m, those that may look long from within `reach` m of (3,) `place`."""
+        away = np.linalg.norm(np.maximum(np.maximum(self._low - place, place - self._high), 0)) - reach
+        ends = self._ends[: np.searchsorted(-self._length, -WIDE * away)]
+        length = self._length[: len(ends)]
+        return ends[length > WIDE * (np.linalg.norm(ends.mean(axis=1) - place, axis=1) - reach)]
+
+
 @dataclass(frozen=True)
 class Emitter:
     """One point of a lamp, or one direction of a sun, towards one object.
@@ -145,14 +163,6 @@ def intensity(light: Light, direction: np.ndarray) -> np.ndarray:
     slope = np.tan(half)
     grid = np.maximum(slope - np.hypot(x, y) / np.maximum(forward, 1e-9), 0) * soft_box_norm(half)
     return np.where(forward > 0, forward * grid / np.pi, 0)
-
-
-def edges_near(corners: np.ndarray, place: np.ndarray, reach: float) -> np.ndarray:
-    """(e, 2, 3) edges of triangles (t, 3, 3), m, that may look long from within `reach` m of (3,) `place`."""
-    end = np.roll(corners, -1, axis=1)
-    away = np.linalg.norm((corners + end) / 2 - place, axis=2) - reach
-    near = np.linalg.norm(end - corners, axis=2) > WIDE * away
-    return np.stack([corners[near], end[near]], axis=1)
 
 
 def extreme_points(places: np.ndarray, directions: int = 512) -> np.ndarray:

@@ -23,7 +23,7 @@ SIDE = 1 << (LEVELS + 1)
 BITS = LEVELS + 2
 """Of a lattice coordinate in a key; SIDE itself must fit."""
 
-DIVIDED = 1.0
+DIVIDED = 0.8
 """Weight of a patch whose photons took different ways and some of them landed, over one that is as wrong as can be."""
 
 DARK = 0.1

@@ -16,7 +16,13 @@ FEWEST, MOST = 1.0, 16.0
 """Sub-samples of a patch for each texel of its length, a side."""
 
 ROUGH = 0.5
-"""The fewest of patches that photons of several ways make, which are many, dim and on top of each other."""
+"""The same of patches that photons of several ways make, which are many and on top of each other."""
+
+DIM = 0.02
+"""Of the mean irradiance: dimmer patches do with fewer sub-samples, each of which brings a texel no more than that."""
+
+SPARSE = 0.25
+"""The fewest even of those."""
 
 SIDES = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128])
 """Numbers of sub-samples that a patch may have along a side."""
@@ -132,7 +138,10 @@ def splat(
     patches, row = divided(patches)
     home, chart, rough = home[row].T, chart[row], rough[row]
     squares, lengths = _lengths(patches)
-    across, along = counts(lengths, patches[4, :, 2:].mean(axis=1), rough, samples * size * size)
+    power = patches[4, :, 2:].mean(axis=1)
+    # a picture on the way, of few samples, may show them
+    dim = DIM * max(SAMPLES / samples, 1.0) * float(power.sum(dtype=np.float64)) / size**2
+    across, along = counts(lengths, power, rough, samples * size * size, dim)
     # how far neighbouring samples are apart, along x and y: as wide a box has their parallelogram's variance
     variance = sum(
         square.mean(axis=(0, 1)) * (4 / (n * n))[:, None].astype(np.float32)
@@ -179,16 +188,17 @@ def splat(
     return total.T
 
 
-def counts(lengths, power: np.ndarray, rough: np.ndarray, budget: float) -> tuple[np.ndarray, np.ndarray]:
+def counts(lengths, power: np.ndarray, rough: np.ndarray, budget: float, dim: float) -> tuple[np.ndarray, np.ndarray]:
     """Sub-samples of patches along their two sides, two (m,) int out of SIDES, some `budget` in all beside the fewest.
 
-    lengths: two (m,) of the sides, in texels. power: (m,) W. rough: (m,) bool, as few as ROUGH will do. What a patch
-    blurs by is its power over its number of samples, so for the least blur in all that number follows the root of its
-    irradiance.
+    lengths: two (m,) of the sides, in texels. power: (m,) W. rough: (m,) bool, as few as ROUGH will do. dim: W a texel, see
+    DIM. What a patch blurs by is its power over its number of samples, so for the least blur in all that number follows
+    the root of its irradiance.
     """
     area = np.maximum(lengths[0], 0.25) * np.maximum(lengths[1], 0.25)
-    wanted = np.sqrt(np.sqrt(np.maximum(power, 0) / area))
-    least = np.where(rough, ROUGH, FEWEST)
+    lit = np.maximum(power, 0) / area
+    wanted = np.sqrt(np.sqrt(lit))
+    least = np.clip(np.sqrt(lit / max(dim, 1e-300)), SPARSE, np.where(rough, ROUGH, FEWEST))
     budget = budget + float((area * least * least).sum())
     low, high = 0.0, MOST / max(float(wanted.max()), 1e-30) * 64
     for _ in range(16):

@@ -7,7 +7,7 @@ import numpy as np
 from ..rays import Bvh, Transmission
 from ..scene import Light, Scene
 from .casters import Casters
-from .emission import Bounds, edges_near, extreme_points
+from .emission import Bounds, Edges, extreme_points
 from .groups import encloses, smooth_groups
 
 LANDS, PASSES, BENDS = 0, 1, 2
@@ -60,7 +60,7 @@ class Surfaces:
         for k in self.casters.tolist():
             own = corners[owner == k]
             places = np.unique(own.reshape(-1, 3), axis=0)
-            self._bounds[k] = own, places, extreme_points(places)
+            self._bounds[k] = Edges(own), places, extreme_points(places)
         self.extent = scene.extent
         # float32 steps grow with the distance from the origin
         sizes = [float(np.ptp(places, axis=0).max()) for _, places, _ in self._bounds.values()]
@@ -68,13 +68,13 @@ class Surfaces:
 
     def bounding(self, caster: int, light: Light) -> Bounds:
         """What bounds a caster as a lamp sees it: few places where the lamp is not near."""
-        own, places, few = self._bounds[int(caster)]
+        edges, places, few = self._bounds[int(caster)]
+        if light.kind == "SUN":
+            return Bounds(few, np.zeros((0, 2, 3), np.float32))
         low, high = few.min(axis=0), few.max(axis=0)
         reach = np.hypot(*light.size) / 2 if light.kind == "AREA" else light.radius
-        near = np.linalg.norm(light.position - (low + high) / 2) < 2 * np.linalg.norm(high - low) + reach
-        if near and light.kind != "SUN":
-            return Bounds(places, edges_near(own, light.position, reach))
-        return Bounds(few, edges_near(own[:0], light.position, reach))
+        near = np.linalg.norm(light.position - (low + high) / 2) < np.linalg.norm(high - low) + reach
+        return Bounds(places if near else few, edges.near(light.position, reach))
 
     def shape(self, triangle: np.ndarray) -> np.ndarray:
         """(21, n) float32 of triangles (n,) that bend light: first corner, two edges, normal there and its two
