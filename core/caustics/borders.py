@@ -144,7 +144,8 @@ def _ends(forest, values, corner, lands, beside, sharp):
     middle = forest.between(low[rows], outside[rows])
     rows, middle = rows[middle >= 0], middle[middle >= 0]
     same = signature[middle] == signature[inside[rows]]
-    on, off = rows[same], rows[~same]
+    # where a third way lies between them each keeps its half, or together they had less than there is
+    on, off = rows[same], rows[signature[middle] == signature[outside[rows]]]
     before[on], before_at[on] = low[on], 0
     low[on], low_at[on] = middle[same], 0.5
     at = np.full(len(quad), 0.5, np.float32)
