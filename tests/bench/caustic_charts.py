@@ -48,7 +48,7 @@ def draw_pictures(ours: dict[str, np.ndarray], references: dict[str, np.ndarray]
         for row, image in enumerate((ours[name], references[name])):
             grid[row, column].imshow(np.clip(image / white, 0, 1) ** (1 / 2.2), origin="lower", cmap="gray")
             grid[row, column].axis("off")
-        grid[0, column].set_title(f"{name}: 40K photons; below 20 M points", fontsize=9)
+        grid[0, column].set_title(f"{name}: 40K photons; below 100 M points", fontsize=9)
     harness.OUT.mkdir(parents=True, exist_ok=True)
     figure.savefig(harness.OUT / "caustics_scenes.png", dpi=110)
     pyplot.close(figure)
