@@ -212,6 +212,12 @@ def _by_materials(scene) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
+def may_come_back(scene: bpy.types.Scene) -> bool:
+    """Whether what cast the scene's caustics was edited or hidden, so that it casts none just now."""
+    mine = known(scene)
+    return scene.lightpanes.caustics and mine is not None and mine.casters == () and bool(mine.surfaces)
+
+
 def is_made_of(material: bpy.types.Material) -> bool:
     """Whether caustics may come of a material."""
     optics = read_optics(material, [])
@@ -345,7 +351,7 @@ def look_again(scene: bpy.types.Scene, fingerprint: dict[str, str]) -> bool:
             # a file that was just opened shows what it was saved with
             return False
         _image.drop_atlas(mine)
-        mine.casters = _by_materials(scene)
+        mine.surfaces, mine.casters = key, _by_materials(scene)
         return True
 
 
