@@ -18,6 +18,7 @@ from ..rays import Bvh, Tracer
 from ..scene import Scene
 from ..surface import Patches, SurfaceSamples, Texels, Vertices, make_patches, make_texels, make_vertices
 from ..transfer import Entries, Gatherer, Transport, find_entries, make_gatherer, make_piece_gatherer, make_transport
+from ..transfer.covered import covered
 from ..transfer.entries import MAX_ALBEDO, PLACES
 from .clock import Clock
 from .kept import Kept
@@ -162,7 +163,8 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
         is_buried = _nothing
         warnings.append("Every texel lies inside a closed object; put a lamp inside the room, or flip its normals.")
     if not at_points:
-        texels = texels.keep(~buried)
+        buried |= covered(scene, texels, Tracer(scene) if surfaces.focuses else tracer, seed)
+        texels = texels.keep(~buried | buried.all())
     warnings += _too_white(scene, patches)
     bins = sky_bins(scene.sky)
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
