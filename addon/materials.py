@@ -18,7 +18,7 @@ import bpy
 import numpy as np
 
 from ..core.scene import Material, Scene
-from .optics import coarse_glass, read_optics, scattered
+from .optics import coarse_glass, open_glass, read_optics, scattered
 from .trees import CONSTANT_NODES, constant, source, surface_output, uses_nodes
 from .unfolded import Unfolded
 
@@ -72,7 +72,7 @@ def read_materials(
             for each, material, seen in zip(materials, used, looks, strict=True)
         ]
     scene.materials = tuple(materials)
-    scene.warnings += coarse_glass(scene)
+    scene.warnings += coarse_glass(scene) + open_glass(scene)
     if wanted:
         maps.bake_maps(context, scene, used, sources, looks, wanted, resolution, atlas)
     for material in scene.materials:
