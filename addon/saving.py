@@ -68,6 +68,8 @@ def _save(path, picture) -> None:
 
 def _write(target: Path, write: Callable[[Path], object]) -> Path:
     try:
+        if not target.parent.exists():
+            target.parent.mkdir(parents=True)
         with replacing(target) as temporary:
             # Blender's own error names neither the file nor, on 4.5, the true reason
             with open(temporary, "wb"):
