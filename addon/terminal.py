@@ -35,7 +35,9 @@ def unless_it_fails() -> Iterator[None]:
         with _pointed(kept.fileno(), STDOUT, STDERR):
             yield
         kept.seek(0)
-        sys.stdout.write(kept.read().decode("utf-8", "replace"))
+        # as bytes, whatever a console can write
+        with contextlib.suppress(OSError), open(STDOUT, "wb", closefd=False) as stream:
+            stream.write(kept.read())
 
 
 @contextlib.contextmanager
