@@ -12,6 +12,7 @@ from collections.abc import Callable, Generator
 from dataclasses import replace
 
 import bpy
+import numpy as np
 
 from ..core.bake import Cancelled, Kept, Progress, Settings, bake
 from ..core.panes import Relighter
@@ -42,6 +43,9 @@ from .work import Work, mapped, run
 # Parts of the whole at which reading the scene, core's work, and building what is stored end.
 ATLAS, READ, BAKED, STORED = 0.03, 0.05, 0.97, 0.98
 
+SOLVED = 0.9
+"""Part at which core's work ends where caustics follow it."""
+
 
 def bake_scene(context: bpy.types.Context, progress: Callable[[Progress], None] | None = None) -> dict:
     """Bake the context's scene as `scene.lightpanes` asks; returns the report (JSON-able).
@@ -70,7 +74,7 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         resolution=asked.resolution,
         seed=asked.seed,
         exits=asked.exits.lower(),
-        photons=caustics.photons_for(scene),
+        photons=caustics.photons_asked(scene),
     )
     yield Progress("Atlas", 0.0, 0)
     objects = [item for item in scene.objects if item.type == "MESH" and store.TAG not in item]
@@ -97,15 +101,17 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
     found, world = extract.fingerprint(context), environment.digest(scene.world)
     lit = direct.ask_now(context) if asked.direct == "BAKED" else None
     focused = caustics.ask_of(scene, surfaces)
+    by_hand, reserved = bool(asked.photons), caustics.reserve(scene, focused)
+    solved = BAKED if focused is None else SOLVED
 
     def work(progress):
         def told(now):
             # more follows here
             if now.fraction < 1:
-                share = READ + (BAKED - READ) * now.fraction
+                share = READ + (solved - READ) * now.fraction
                 progress(Progress(now.stage, share, now.rays, now.error, now.seconds_left))
 
-        result = bake(surfaces, settings, told, kept, time.perf_counter() - start)
+        result = bake(surfaces, settings, told, kept, time.perf_counter() - start + reserved)
         # what is kept stays as it is
         result = replace(result, meta=copy.deepcopy(result.meta))
         points.remember(result, surfaces)
@@ -114,10 +120,22 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         shown = None if lit is None else direct.make_atlas(relighter.panes, surfaces, tracer, lit)
         traced = None
         if focused is not None:
-            rays = result.report["rays"]
-            traced = caustics.trace(
-                relighter.panes, surfaces, focused, lambda _: progress(Progress("Caustics", BAKED, rays))
+            rays, left = result.report["rays"], np.inf
+            if settings.time_budget and not by_hand:
+                left = settings.time_budget - (time.perf_counter() - start)
+            traced, photons = caustics.trace(
+                relighter.panes,
+                surfaces,
+                focused,
+                lambda part: progress(Progress("Caustics", SOLVED + (BAKED - SOLVED) * part, rays)),
+                left,
             )
+            if photons < focused.photons:
+                result.meta[caustics.PHOTONS] = photons
+                result.report["warnings"].append(
+                    f"There was time for {photons:,} photons of each lamp, where caustics ask for {focused.photons:,}: "
+                    "allow more Time, or set Photons."
+                )
         return result, relighter, shown, traced, store.key_of(result)
 
     del scene, asked, objects, at_vertices, making, unfolded

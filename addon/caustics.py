@@ -16,6 +16,7 @@ import bpy
 import numpy as np
 
 from ..core import caustics as core
+from ..core.bake.photons import FEWEST, trace_lamps
 from ..core.caustics import CausticAtlas, casters
 from ..core.panes import Panes
 from ..core.rays import Tracer
@@ -28,7 +29,13 @@ from .optics import read_optics
 EXACT = 0.05
 """Error for which a lamp gets `core.PHOTONS`; half the error asks for twice as many."""
 
-FEWEST, MOST = 5_000, 2_000_000
+MOST = 2_000_000
+
+SHARE, PHOTON = 0.15, 2e-5
+"""Of a time budget, caustics take no more than this part, nor more than so many s for each photon that is asked for."""
+
+PHOTONS = "photons"
+"""In a bake's meta: of each lamp, where a time budget left no more."""
 
 SLICE = 0.04
 """s that a picture is refined while a lamp is dragged."""
@@ -60,12 +67,14 @@ class Asked:
 @dataclass
 class Held(live_image.Held):
     """casters: names of the objects that focus light, None where that is not known. landed: where it fell when an image
-    was last worked out in full. reading: s that the surfaces took to read. energy: W, where the light went."""
+    was last worked out in full. reading: s that the surfaces took to read. energy: W, where the light went. most: photons
+    of a lamp, None where that is not known."""
 
     casters: tuple[str, ...] | None = None
     landed: Landed = field(default_factory=lambda: Landed())
     reading: float = 0.0
     energy: dict[str, float] = field(default_factory=dict)
+    most: int | None = None
 
 
 @dataclass(frozen=True)
@@ -203,6 +212,12 @@ def _by_materials(scene) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
+def may_come_back(scene: bpy.types.Scene) -> bool:
+    """Whether what cast the scene's caustics was edited or hidden, so that it casts none just now."""
+    mine = known(scene)
+    return scene.lightpanes.caustics and mine is not None and mine.casters == () and bool(mine.surfaces)
+
+
 def is_made_of(material: bpy.types.Material) -> bool:
     """Whether caustics may come of a material."""
     optics = read_optics(material, [])
@@ -226,10 +241,21 @@ def make_tracer(surfaces: Scene) -> Tracer:
     return Tracer(surfaces) if found is None else Tracer(surfaces, solid=found.triangles)
 
 
-def photons_for(scene: bpy.types.Scene) -> int:
-    """Photons of each lamp."""
+def photons_asked(scene: bpy.types.Scene) -> int:
+    """Photons of each lamp that Photons or Error ask for."""
     asked = scene.lightpanes
     return asked.photons or round(float(np.clip(core.PHOTONS * EXACT / asked.error_target, FEWEST, MOST)) / 100) * 100
+
+
+def photons_for(scene: bpy.types.Scene) -> int:
+    """Photons of each lamp in the scene's bake: no more than its time budget left, where Photons is not set."""
+    asked = scene.lightpanes
+    if asked.photons or not asked.time_budget or store.find_entries(scene) is None:
+        return photons_asked(scene)
+    mine = held(scene)
+    if mine.most is None:
+        mine.most = (store.read_meta(scene) or {}).get(PHOTONS, MOST)
+    return min(photons_asked(scene), mine.most)
 
 
 def ask(scene: bpy.types.Scene, lights: Iterable[Light], baked_in: Iterable[Light]) -> Asked:
@@ -242,17 +268,26 @@ def ask_of(scene: bpy.types.Scene, surfaces: Scene) -> Asked | None:
     """What a bake of these surfaces is going to show; None where nothing is focused or where that is not wanted."""
     if not scene.lightpanes.caustics or casters(surfaces) is None:
         return None
-    return ask(scene, surfaces.lights, ())
+    return Asked(tuple(surfaces.lights), photons_asked(scene), "")
 
 
-def trace(panes: Panes, surfaces: Scene, asked: Asked, tell: Callable[[float], object]) -> Traced:
-    """Work them out, so that a window need not wait. Nothing of Blender is read. tell: called with the part that is done;
-    an exception that it raises ends the work."""
-    traced = Traced(panes, surfaces)
+def reserve(scene: bpy.types.Scene, asked: Asked | None) -> float:
+    """s of a time budget that are kept for them."""
+    if asked is None:
+        return 0.0
+    return min(SHARE * scene.lightpanes.time_budget, PHOTON * asked.photons * len(asked.lights))
+
+
+def trace(
+    panes: Panes, surfaces: Scene, asked: Asked, tell: Callable[[float], object], seconds: float = np.inf
+) -> tuple[Traced, int]:
+    """Work them out, so that a window need not wait; and how many photons of each lamp there was time for. Nothing of
+    Blender is read. tell: called with the part in [0, 1] that is done; an exception that it raises ends the work. seconds:
+    that there are."""
+    begin, traced = time.perf_counter(), Traced(panes, surfaces)
     tell(0.0)
-    for step in traced.atlas.refine(asked.lights, asked.photons):
-        tell(step.done)
-    return traced
+    atlas = traced.atlas
+    return traced, trace_lamps(atlas, asked.lights, asked.photons, tell, seconds - (time.perf_counter() - begin))
 
 
 def adopt(scene: bpy.types.Scene, traced: Traced | None, fingerprint: dict[str, str]) -> None:
@@ -316,7 +351,7 @@ def look_again(scene: bpy.types.Scene, fingerprint: dict[str, str]) -> bool:
             # a file that was just opened shows what it was saved with
             return False
         _image.drop_atlas(mine)
-        mine.casters = _by_materials(scene)
+        mine.surfaces, mine.casters = key, _by_materials(scene)
         return True
 
 

@@ -1,7 +1,7 @@
 """Error against time: Cycles, the paper's way, and ours, at lamps that nothing was trained on.
 
-The scene's own lamps, sky and emissive materials are put out; test lamps shine one at a time, so that no steady
-light hides their error. The open file is changed and must not be saved.
+The scene's own lamps, sky and emissive materials are put out, and what casts caustics is made black; test lamps shine
+one at a time, so that no steady light hides their error. The open file is changed and must not be saved.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from ..core.scene import Scene, SceneError
 from ..core.surface import make_patches, make_texels
 from ..core.transfer import find_entries, make_gatherer
 from ..core.transfer.entries import PLACES
-from . import atlas, baking, lamps, methods, reference, relight, store
+from . import atlas, baking, caustics, lamps, methods, reference, relight, store
 from .extract import extract
+from .trees import surface_output
 
 RESOLUTION = 256
 """Texels a side, as in a bake."""
@@ -88,9 +89,14 @@ def measure(
     """
     steps = Steps(progress)
     steps.begin("Reading the scene", 2)
+    notes: list[str] = []
+    if focusing := blacken():
+        notes.append(
+            f"Black in this chart, for Cycles and for us: {', '.join(focusing)}. What glass and smooth metal focus is not "
+            "what panes are for."
+        )
     scene, extracting = _open(context, resolution)
     tests = find_lamps(scene, resolution, seed)
-    notes: list[str] = []
     with relight.paused():
         lamp = _put_lamp(context)
         truths, cycles = _cycles(context, lamp, tests, resolution, steps)
@@ -187,6 +193,20 @@ def _put_out(context) -> None:
                 tree.links.remove(link)
             node.inputs[name].default_value = 0.0
     context.view_layer.update()
+
+
+def blacken() -> list[str]:
+    """Let materials that cast caustics neither reflect nor let anything through; returns their names, in quotes."""
+    found = [material for material in bpy.data.materials if caustics.is_made_of(material)]
+    for material in found:
+        if material.library is None:
+            tree = material.node_tree
+            output, black = surface_output(tree), tree.nodes.new("ShaderNodeBsdfDiffuse")
+            black.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+            tree.links.new(black.outputs["BSDF"], output.inputs["Surface"])
+            for link in list(output.inputs["Volume"].links):
+                tree.links.remove(link)
+    return [f"'{material.name}'" for material in found if material.library is None]
 
 
 def find_lamps(scene: Scene, resolution: int, seed: int = 0) -> list[TestLamp]:

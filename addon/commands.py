@@ -6,13 +6,11 @@ Exit code 0 only on success; 2 with one line on stderr where the user can help i
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import os
 import platform
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -25,6 +23,7 @@ from ..core.rays import EngineError
 from ..core.scene import SceneError
 from . import baking, beside, caustics, colours, direct, operators, relight, sequence, sessions, store
 from .colours import KINDS
+from .terminal import Bar, aside, quiet, silent, unless_it_fails
 
 OK, BAD_INPUT, INTERRUPTED = 0, 2, 130
 
@@ -48,7 +47,13 @@ def main(arguments: list[str], *, opened: bool = False) -> int:
     """
     try:
         options = _parser(opened).parse_args(_spelled_out(arguments))
-        return options.run(options)
+        if options.json != "-":
+            return options.run(options)
+        try:
+            with aside():
+                return options.run(options)
+        finally:
+            print(options.said, end="")
     except (UserError, SceneError, BakeError, EngineError) as error:
         print(f"lightpanes: {error}", file=sys.stderr)
         return BAD_INPUT
@@ -70,7 +75,7 @@ def _parser(opened: bool) -> argparse.ArgumentParser:
             made.add_argument("file", metavar="FILE.blend")
         made.add_argument("--output", metavar="DIR", help="folder for the results; default: beside the file")
         made.add_argument("--json", metavar="REPORT", help="write the report to this file, '-' for the terminal")
-        made.set_defaults(run=run, opened=opened)
+        made.set_defaults(run=run, opened=opened, said="", program=name)
         return made
 
     bake = command("bake", _bake, "Bake a scene; the result goes to FILE_lightpanes.blend, never over the input.")
@@ -137,7 +142,7 @@ def _number(low, high, kind=float) -> Callable[[str], float]:
             value = None
         if value is None or not low <= value <= high:
             what = "a whole number" if kind is int else "a number"
-            raise argparse.ArgumentTypeError(f"{text!r} is not {what} from {low:g} to {high:g}")
+            raise argparse.ArgumentTypeError(f"{text!r} is not {what} from {low:.10g} to {high:.10g}")
         return value
 
     return read
@@ -169,12 +174,12 @@ def _bake(options) -> int:
     save_blend(target)
     report["file"] = str(target)
     _finish(options, path, target, report)
-    _say(options, f"{operators.summary(report)}. Wrote {target}")
+    _say(f"{operators.summary(report)}. Wrote {target}")
     return OK
 
 
 def _relight(options) -> int:
-    path = _open(options)
+    path = _open_baked(options)
     target = _target(options, path, "_relit")
     if options.frame is not None:
         bpy.context.scene.frame_set(options.frame)
@@ -185,7 +190,7 @@ def _relight(options) -> int:
     told = direct.sentences(scene) if direct.is_baked(scene) else []
     told += [each for each in (caustics.sentences(scene) if focused else []) if each not in told]
     for sentence in stale + told:
-        _say(options, f"Warning: {sentence}")
+        _say(f"Warning: {sentence}")
     save_blend(target)
     report = {**context_of(path), "relight_ms": round(milliseconds, 2), "stale": stale, "file": str(target)}
     if direct.is_baked(bpy.context.scene):
@@ -195,12 +200,12 @@ def _relight(options) -> int:
     if focused or direct.is_baked(scene):
         report["warnings"] = told
     _finish(options, path, target, report)
-    _say(options, f"Relit in {milliseconds:.1f} ms. Wrote {target}")
+    _say(f"Relit in {milliseconds:.1f} ms. Wrote {target}")
     return OK
 
 
 def _animate(options) -> int:
-    path = _open(options)
+    path = _open_baked(options)
     folder = _target(options, path, "").parent
     if options.output is None:
         folder /= sequence.FOLDER
@@ -208,33 +213,31 @@ def _animate(options) -> int:
     with Bar() as bar:
         manifest = sequence.write(bpy.context, folder, frames, bar, options.groups)
     for sentence in manifest["warnings"]:
-        _say(options, f"Warning: {sentence}")
+        _say(f"Warning: {sentence}")
     _write_report(options, {**context_of(path), **manifest, "file": str(folder / sequence.MANIFEST)})
-    _say(options, f"Wrote {len(frames)} frames to {folder}")
+    _say(f"Wrote {len(frames)} frames to {folder}")
     return OK
 
 
 def _info(options) -> int:
-    path = _open(options)
+    path = _open_baked(options)
     scene = bpy.context.scene
-    meta = store.read_meta(scene)
-    if meta is None:
-        raise UserError(f"'{path.name}' has no bake in scene '{scene.name}'; bake it first.")
+    meta = store.read_meta(scene) or {}
     stale = list(relight.check_stale(bpy.context))
     report = {**context_of(path), "settings": _settings(scene.lightpanes), **meta.get("report", {}), "stale": stale}
-    _say(options, operators.summary(report))
+    _say(operators.summary(report))
     for key, value in report.items():
         if not isinstance(value, (dict, list)):
-            _say(options, f"  {key}: {value}")
+            _say(f"  {key}: {value}")
     if "caustics" in report:
         found = report["caustics"]
-        _say(options, f"  caustics of {', '.join(found['casters'])}: {found['photons']} photons a lamp")
+        _say(f"  caustics of {', '.join(found['casters'])}: {found['photons']} photons a lamp")
     for sentence in stale + report.get("warnings", []):
-        _say(options, f"  Warning: {sentence}")
+        _say(f"  Warning: {sentence}")
     try:
         if options.points:
             report["picture"] = str(_draw_points(options, path))
-            _say(options, f"Wrote {report['picture']}")
+            _say(f"Wrote {report['picture']}")
     finally:
         # where there are no points to draw, the rest is of use all the same
         _write_report(options, report)
@@ -261,16 +264,16 @@ def _chart(options) -> int:
     report = {**context_of(path), **found}
     _replacing(figures, lambda place: place.write_text(json.dumps(report, indent=2) + "\n", "utf-8"))
     for sentence in found["notes"]:
-        _say(options, sentence)
+        _say(sentence)
     try:
         from . import plot
     except ModuleNotFoundError as error:
         if not (error.name or "").startswith("matplotlib"):
             raise
-        _say(options, f"Wrote {figures}, and no picture: that needs matplotlib (pip install matplotlib).")
+        _say(f"Wrote {figures}, and no picture: that needs matplotlib (pip install matplotlib).")
     else:
         _replacing(picture, lambda place: plot.draw(report, place))
-        _say(options, f"Wrote {picture} and {figures.name}")
+        _say(f"Wrote {picture} and {figures.name}")
     _write_report(options, report)
     return OK
 
@@ -281,7 +284,9 @@ def _open(options) -> Path:
         # Blender runs the command on the start-up file when it can't open the one it was given.
         if not bpy.data.filepath:
             raise UserError("No .blend is open: name an existing file before --command.")
-        return Path(bpy.data.filepath)
+        path = Path(bpy.data.filepath)
+        _check_report(options, path)
+        return path
     path = Path(options.file).expanduser().absolute()
     if not path.exists():
         raise UserError(f"There is no file '{path}'.")
@@ -294,10 +299,23 @@ def _open(options) -> Path:
         raise UserError(f"'{path}' can't be read: {error.strerror}.") from error
     if not head.startswith(MAGIC):
         raise UserError(f"'{path.name}' is not a .blend file.")
+    _check_report(options, path)
     try:
-        bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
+        with unless_it_fails():
+            bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
     except RuntimeError as error:
         raise UserError(f"Blender can't open '{path.name}': {_first_line(error)}") from error
+    return path
+
+
+def _open_baked(options) -> Path:
+    """The same, which has a bake."""
+    path, scene = _open(options), bpy.context.scene
+    if store.find_entries(scene) is None:
+        raise UserError(
+            f"'{path.name}' has no bake in scene '{scene.name}'. '{options.program} bake{'' if options.opened else ' ' + path.name}' makes "
+            f"{path.stem}_lightpanes.blend, which has one."
+        )
     return path
 
 
@@ -319,20 +337,31 @@ def _folder(options, path: Path) -> Path:
 
 
 def _target(options, path: Path, suffix: str) -> Path:
-    target = _folder(options, path) / f"{path.stem}{suffix}.blend"
-    if options.json not in (None, "-"):
-        report = Path(options.json).expanduser().absolute()
-        if report == path:
-            raise UserError("--json names the .blend itself.")
-        if report.is_dir() or not report.parent.is_dir():
-            raise UserError(f"Can't write the report to '{report}': its folder must exist.")
-    return target
+    return _folder(options, path) / f"{path.stem}{suffix}.blend"
+
+
+def _check_report(options, path: Path) -> None:
+    """Know before any work is done that the report can be written."""
+    if options.json in (None, "-"):
+        return
+    report = Path(options.json).expanduser().absolute()
+    if report == path:
+        raise UserError("--json names the .blend itself.")
+    if not report.parent.is_dir():
+        raise UserError(f"Can't write the report to '{report}': its folder must exist.")
+    if report.is_dir():
+        raise UserError(f"Can't write the report to '{report}': it is a folder; name a file.")
+    try:
+        with tempfile.TemporaryFile(dir=report.parent):
+            pass
+    except OSError as error:
+        raise UserError(f"Can't write the report to '{report}': {error.strerror}.") from error
 
 
 def _replacing(target: Path, write: Callable[[Path], object]) -> None:
     """Write under a temporary name beside `target`, then put it in place at once."""
     try:
-        with replacing(target) as temporary:
+        with silent(), replacing(target) as temporary:
             write(temporary)
     except (OSError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or _first_line(error)
@@ -372,7 +401,7 @@ def _finish(options, path: Path, target: Path, report: dict) -> None:
 def _write_report(options, report: dict) -> None:
     text = json.dumps(report, indent=2) + "\n"
     if options.json == "-":
-        print(text, end="")
+        options.said = text
     elif options.json is not None:
         _replacing(Path(options.json).expanduser().absolute(), lambda place: place.write_text(text, "utf-8"))
 
@@ -402,68 +431,9 @@ def _settings(asked) -> dict:
     }
 
 
-def _say(options, text: str) -> None:
-    """For people: on stdout, unless the report goes there."""
-    print(text, file=sys.stderr if options.json == "-" else sys.stdout)
-
-
-@contextlib.contextmanager
-def quiet():
-    """Blender writes a line to stdout, from C, for each of its bakes."""
-    sys.stdout.flush()
-    try:
-        kept = os.dup(1)
-    except OSError:
-        # no console at all
-        yield
-        return
-    with open(os.devnull, "w") as nowhere:
-        os.dup2(nowhere.fileno(), 1)
-    try:
-        yield
-    finally:
-        sys.stdout.flush()
-        os.dup2(kept, 1)
-        os.close(kept)
-
-
-class Bar:
-    """Progress on stderr: a bar that redraws itself on a terminal, plain lines elsewhere.
-
-    Call it with a `core.bake.Progress`.
-    """
-
-    WIDTH = 30
-
-    def __init__(self, stream=None):
-        self.stream = stream or sys.stderr
-        self.terminal = self.stream.isatty()
-        self.start = time.monotonic()
-        self.stage, self.tenth, self.drawn = "", -1, 0.0
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        if self.terminal and self.stage:
-            self.stream.write("\n")
-            self.stream.flush()
-
-    def __call__(self, progress) -> None:
-        now, tenth = time.monotonic(), int(10 * progress.fraction)
-        fresh = progress.stage != self.stage
-        seconds = now - self.start
-        if self.terminal:
-            if fresh or now - self.drawn > 0.1 or progress.fraction >= 1:
-                done = round(self.WIDTH * min(1.0, progress.fraction))
-                bar = "█" * done + "·" * (self.WIDTH - done)
-                self.stream.write(f"\r\x1b[K{bar} {100 * progress.fraction:3.0f} %  {seconds:5.1f} s  {progress.stage}")
-                self.stream.flush()
-                self.drawn = now
-        elif fresh or tenth != self.tenth:
-            self.stream.write(f"{100 * progress.fraction:3.0f} %  {seconds:5.1f} s  {progress.stage}\n")
-            self.stream.flush()
-        self.stage, self.tenth = progress.stage, tenth
+def _say(text: str) -> None:
+    """For people: on stdout, unless the report goes there (`main`)."""
+    print(text)
 
 
 def _in_blender(arguments: list[str]) -> int:

@@ -9,7 +9,7 @@ import bpy
 from mathutils import Vector
 
 from ..core.scene import SceneError
-from . import baking, foreign, former, preflight, relight, vertices, world_light
+from . import baking, foreign, former, glassware, preflight, relight, vertices, world_light
 from .meshes import LAYER
 from .obstacles import Facts, Obstacle
 from .twice import NO_LIGHT
@@ -300,6 +300,18 @@ def _shadow_caustics(context, obstacle):
             former.change(item, "data.cycles.is_caustics_light", False)
 
 
+def _solidify(context, obstacle):
+    for item in _editable(_objects(context, obstacle)):
+        added = item.modifiers.new("Solidify", "SOLIDIFY")
+        added.thickness = glassware.THICK * max(
+            side / abs(scale or 1.0) for side, scale in zip(item.dimensions, item.scale, strict=True)
+        )
+
+
+def _photons(context, obstacle):
+    context.scene.lightpanes.photons = glassware.photons_needed(len(obstacle.about))
+
+
 # Each returns what it could not mend, if anything; it raises SceneError only where it has changed nothing.
 FIXES: dict[str, Callable[[bpy.types.Context, Obstacle], list[str] | None]] = {
     "ALL_HIDDEN": _show,
@@ -327,6 +339,8 @@ FIXES: dict[str, Callable[[bpy.types.Context, Obstacle], list[str] | None]] = {
     "CYCLES_FAST_GI": _cycles_fast_gi,
     "CYCLES_CAUSTICS": _cycles_caustics,
     "SHADOW_CAUSTICS": _shadow_caustics,
+    "OPEN_GLASS": _solidify,
+    "MANY_CASTERS": _photons,
 }
 
 HELP = {
@@ -356,6 +370,8 @@ HELP = {
     "LAMPS": "Take the lamps' direct light out of the bake",
     "CYCLES_BOUNCES": "Leave diffuse bounces to the baked light. Turning Show in Cycles off gives them back",
     "CYCLES_CAUSTICS": "Leave caustics to the baked ones. Turning Show in Cycles off gives them back",
+    "OPEN_GLASS": "Give the glass a thickness, a hundredth of its size, by a modifier",
+    "MANY_CASTERS": "Raise Photons, which also makes caustics slower to follow lamps",
     "SHADOW_CAUSTICS": "Leave caustics to the baked ones. Clear gives the lamps' setting back",
     "CYCLES_FAST_GI": "Leave ambient light to the baked light. Clear gives the setting back",
 }

@@ -16,7 +16,7 @@ def _on_update(scene, depsgraph):
     if store.bake_key(scene) is None:
         return
     if bpy.app.background:
-        worked = direct.is_baked(scene) or caustics.is_baked(scene)
+        worked = direct.is_baked(scene) or caustics.is_baked(scene) or caustics.may_come_back(scene)
         if worked and any(_may_stale(scene, sessions.of(scene), change) for change in depsgraph.updates):
             relight.look_again(scene, extract.fingerprint(bpy.context))
         relight.update(scene, depsgraph)

@@ -6,17 +6,15 @@ reads (and, when asked for, a pair that only Cycles reads), tagged `lightpanes`;
 
 from __future__ import annotations
 
-import math
-
 import bpy
 
 from ..core.scene import Material, Scene
-from . import claims, store, vertices
-from .meshes import AT_VERTICES
-from .trees import NO_NODES, heeds_nodes
+from . import claims, store
+from .group_nodes import GLOSS, fill_group
+from .materials import gloss_by_angle
+from .trees import NO_NODES, heeds_nodes, source
 
 GROUP = "Lightpanes"
-UV_LAYER = "Lightpanes"
 DEFAULT_MATERIAL = "Lightpanes Default"
 NODE_TAG = "lightpanes"
 
@@ -116,7 +114,7 @@ def rebuild(scene: bpy.types.Scene) -> None:
     group = group_of(scene)
     if group is not None:
         group.nodes.clear()
-        _fill_group(scene, group)
+        fill_group(scene, group)
 
 
 def shows(item: bpy.types.Object, scene: bpy.types.Scene) -> bool:
@@ -243,6 +241,10 @@ def _attach_material(material, group, baked: Material | None):
         _use_nodes(material)
     color, value, mapped = _albedo(material.node_tree, baked)
     node = _add_pair(material, "EEVEE", group, None)
+    shader = source(node.inputs["Shader"])
+    if shader is not None and shader.type == "BSDF_PRINCIPLED":
+        for name, value_of in zip(GLOSS, gloss_by_angle(shader), strict=True):
+            node.inputs[name].default_value = value_of
     node.inputs["Direct"].default_value = 1.0
     node.inputs["Albedo Map"].default_value = float(mapped)
     node.inputs["Albedo"].default_value = (*value, 1.0)
@@ -322,7 +324,7 @@ def _add_pair(material, target: str, group, like):
                 entrance = node.inputs["Shader"] if socket.name == "Surface" else output.inputs[socket.name]
                 tree.links.new(socket.links[0].from_socket, entrance)
     if like is not None:
-        for name in ("Albedo", "Tint", "Albedo Map"):
+        for name in ("Albedo", "Tint", "Albedo Map", *GLOSS):
             node.inputs[name].default_value = like.inputs[name].default_value
             if like.inputs[name].is_linked:
                 tree.links.new(like.inputs[name].links[0].from_socket, node.inputs[name])
@@ -389,103 +391,5 @@ def _make_group(scene) -> bpy.types.NodeTree:
     for name in ("Albedo Map", "Direct"):
         sockets.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat").default_value = 0.0
     sockets.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
-    _fill_group(scene, group)
+    fill_group(scene, group)
     return group
-
-
-def _fill_group(scene, group):
-    """Shader + albedo × (irradiance + direct + caustics) / π as emission, on baked objects, seen by the camera or in mirrors.
-
-    The input Direct is 0 in engines that bring the first hit of sky and emissive faces themselves.
-    """
-    build = _Builder(group)
-    entrance, end = build.node("NodeGroupInput"), build.node("NodeGroupOutput")
-
-    uv = build.node("ShaderNodeUVMap")
-    uv.uv_map = UV_LAYER
-    scale = build.attribute("lightpanes_scale").outputs["Vector"]
-    offset = build.attribute("lightpanes_offset").outputs["Vector"]
-    place = build.vector("ADD", build.vector("MULTIPLY", uv.outputs["UV"], scale), offset)
-
-    light = build.image(store.find_image(scene, store.IRRADIANCE), place)
-    mapped = entrance.outputs["Albedo Map"]
-    direct = store.find_image(scene, store.DIRECT)
-    if direct is not None:
-        shown = build.image(direct, place)
-        steady = store.find_image(scene, store.STEADY)
-        if steady is not None:
-            share = build.math("SUBTRACT", 1.0, entrance.outputs["Direct"])
-            without = build.vector("MULTIPLY", build.image(steady, place), share)
-            shown = build.vector("SUBTRACT", shown, without)
-        elif store.holds_direct(scene):
-            shown = build.vector("MULTIPLY", shown, entrance.outputs["Direct"])
-        light = build.vector("ADD", light, shown)
-    caustics = store.find_image(scene, store.CAUSTICS)
-    if caustics is not None:
-        light = build.vector("ADD", light, build.image(caustics, place))
-    if vertices.lit(scene):
-        at_vertices = build.attribute(AT_VERTICES).outputs["Fac"]
-        light = build.mix(at_vertices, light, build.attribute(vertices.LIGHT, "GEOMETRY").outputs["Color"])
-        # no place in the atlas, so no albedo there
-        mapped = build.math("MULTIPLY", mapped, build.math("SUBTRACT", 1.0, at_vertices))
-    albedo = build.vector("MULTIPLY", entrance.outputs["Albedo"], entrance.outputs["Tint"])
-    baked_albedo = store.find_image(scene, store.ALBEDO)
-    if baked_albedo is not None:
-        albedo = build.mix(mapped, albedo, build.image(baked_albedo, place))
-    radiance = build.vector("MULTIPLY", build.vector("MULTIPLY", light, albedo), (1 / math.pi,) * 3)
-
-    # Seen after a diffuse bounce it would be bounced light that bounces again.
-    fresh = build.math("LESS_THAN", build.node("ShaderNodeLightPath").outputs["Diffuse Depth"], 0.5)
-    strength = build.math("MULTIPLY", fresh, build.attribute("lightpanes_baked").outputs["Fac"])
-
-    emission, add = build.node("ShaderNodeEmission"), build.node("ShaderNodeAddShader")
-    group.links.new(radiance, emission.inputs["Color"])
-    group.links.new(strength, emission.inputs["Strength"])
-    group.links.new(entrance.outputs["Shader"], add.inputs[0])
-    group.links.new(emission.outputs[0], add.inputs[1])
-    group.links.new(add.outputs[0], end.inputs["Shader"])
-
-
-class _Builder:
-    """Adds nodes to a group from left to right."""
-
-    def __init__(self, group):
-        self.group = group
-
-    def node(self, kind: str):
-        node = self.group.nodes.new(kind)
-        node.location = (200 * (len(self.group.nodes) - 1), 0)
-        return node
-
-    def attribute(self, name: str, kind: str = "OBJECT"):
-        node = self.node("ShaderNodeAttribute")
-        node.attribute_type, node.attribute_name = kind, name
-        return node
-
-    def mix(self, share, first, second):
-        node = self.node("ShaderNodeMix")
-        node.data_type = "VECTOR"
-        for value, socket in ((share, node.inputs[0]), (first, node.inputs[4]), (second, node.inputs[5])):
-            self.group.links.new(value, socket)
-        return node.outputs[1]
-
-    def math(self, operation: str, a, b):
-        return self._operate(self.node("ShaderNodeMath"), operation, a, b)
-
-    def image(self, image, place):
-        node = self.node("ShaderNodeTexImage")
-        node.image, node.interpolation, node.extension = image, "Linear", "EXTEND"
-        self.group.links.new(place, node.inputs["Vector"])
-        return node.outputs["Color"]
-
-    def vector(self, operation: str, a, b):
-        return self._operate(self.node("ShaderNodeVectorMath"), operation, a, b)
-
-    def _operate(self, node, operation, a, b):
-        node.operation = operation
-        for socket, value in zip(node.inputs, (a, b), strict=False):
-            if isinstance(value, bpy.types.NodeSocket):
-                self.group.links.new(value, socket)
-            else:
-                socket.default_value = value
-        return node.outputs[0]

@@ -13,6 +13,7 @@ import bpy
 import numpy as np
 
 from ..core.caustics.casters import SHARP, is_caster
+from ..core.caustics.groups import encloses
 from ..core.scene import Optics, Scene
 from .trees import constant, source, surface_output, uses_nodes
 
@@ -129,6 +130,26 @@ def coarse_glass(scene: Scene) -> list[str]:
                 "meant to be round."
             )
     return told
+
+
+def open_glass(scene: Scene) -> list[str]:
+    """Sentences about objects whose glass has no inside that light could leave again."""
+    refracts = np.array([is_caster(m) and bool(any(m.optics.glass)) for m in scene.materials], bool)
+    owners = np.unique(scene.triangle_object[refracts[scene.triangle_material]])
+    # with the rest of the mesh: a pane may end at its frame
+    return [
+        open_sentence(scene.objects[k].name)
+        for k in owners.tolist()
+        if not encloses(scene.positions[scene.triangles[scene.triangle_object == k]])
+    ]
+
+
+def open_sentence(name: str) -> str:
+    """About glass that is not closed."""
+    return (
+        f"'{name}' is glass with open edges, which light enters and does not leave again, so that its caustics are not in "
+        "place: give it a thickness (a Solidify modifier), or close its holes."
+    )
 
 
 COARSE = 9.0

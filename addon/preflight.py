@@ -13,7 +13,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..core.scene import SceneError
-from . import areas, foreign, handlers, obstacles, store, twice
+from . import areas, foreign, glassware, handlers, obstacles, store, twice
 from .forecast import Forecast, predict
 from .obstacles import ERROR, Facts, Obstacle
 
@@ -84,7 +84,7 @@ def inspect(context: bpy.types.Context) -> Findings:
 def examine(context: bpy.types.Context) -> Findings:
     """Look at the scene anew. Nothing is evaluated or rendered."""
     facts = Facts(context)
-    found = [*obstacles.find(facts), *twice.find(facts)]
+    found = [*obstacles.find(facts), *twice.find(facts), *glassware.find(facts)]
     blocked = any(obstacle.severity == ERROR for obstacle in found) or not facts.receivers
     live = sum(item.data.lightpanes.live for item in facts.lamps)
     return Findings(
@@ -128,6 +128,7 @@ def _key(context) -> tuple:
         asked.cycles,
         asked.direct,
         asked.caustics,
+        asked.photons,
         store.bake_key(scene),
         twice.only_darkens(scene.eevee),
         scene.eevee.use_raytracing,

@@ -68,10 +68,15 @@ def _save(path, picture) -> None:
 
 def _write(target: Path, write: Callable[[Path], object]) -> Path:
     try:
+        if not target.parent.exists():
+            target.parent.mkdir(parents=True)
         with replacing(target) as temporary:
+            # Blender's own error names neither the file nor, on 4.5, the true reason
+            with open(temporary, "wb"):
+                pass
             write(temporary)
     except (OSError, RuntimeError) as error:
-        reason = getattr(error, "strerror", None) or str(error).strip().splitlines()[-1]
+        reason = getattr(error, "strerror", None) or str(error).strip().splitlines()[0].removeprefix("Error: ")
         raise SceneError(f"Can't write '{target}': {reason}. Choose another folder.") from error
     return target
 

@@ -24,7 +24,20 @@ from ..core import exr
 from ..core.bake import Progress
 from ..core.files import filling
 from ..core.scene import Light, SceneError
-from . import caustics, direct, engine, extract, groups, lamps, nodes, relight, sessions, store, vertices, visibility
+from . import (
+    caustics,
+    direct,
+    engine,
+    extract,
+    group_nodes,
+    groups,
+    lamps,
+    relight,
+    sessions,
+    store,
+    vertices,
+    visibility,
+)
 from .work import run
 
 FOLDER = "lightpanes_irradiance"
@@ -290,7 +303,7 @@ def _manifest(scene, frames: range) -> dict:
         "quantity": "irradiance",
         "color_space": "linear Rec.709",
         "use": "outgoing radiance = albedo × (irradiance + direct + caustics) / π; atlas UV = UV × scale + offset, v = 0 below",
-        "uv_layer": nodes.UV_LAYER,
+        "uv_layer": group_nodes.UV_LAYER,
         "resolution": list(image.size),
         "fps": scene.render.fps / scene.render.fps_base,
         "frames": [

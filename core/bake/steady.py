@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..caustics import CausticAtlas
@@ -13,6 +15,7 @@ from ..scene import Light, Scene, Sky
 from ..surface import Patches, sample_triangles
 from ..transfer import Entries, Transport
 from ..transfer.entries import PLACES
+from .photons import trace_lamps
 
 SKY_BINS = (32, 64)
 """Bins of a sky that is not uniform: rows of equal solid angle, columns."""
@@ -44,14 +47,20 @@ def static_light(scene: Scene, surface: EntrySurface, tracer: Tracer, seed: int)
 
 
 def static_caustics(
-    scene: Scene, surface: EntrySurface, resolution: int, tracer: Tracer, seed: int, photons: int
+    scene: Scene,
+    surface: EntrySurface,
+    resolution: int,
+    tracer: Tracer,
+    seed: int,
+    photons: int,
+    tell: Callable[[float], object],
+    seconds: float,
 ) -> np.ndarray:
     """(n, 3) float32 irradiance of the entries, W/m², by what mirrors and glass make of the light of lamps that are not
-    live. photons: of each of them."""
+    live. photons, tell, seconds: as in `trace_lamps`."""
     atlas = CausticAtlas(scene, resolution, seed=seed)
     lamps = static_lamps(scene)
-    # all at once, for it holds the last ones
-    atlas.image(lamps, photons)
+    trace_lamps(atlas, lamps, photons, tell, seconds)
     focused = CausticLight(surface, atlas.landings, tracer.offset)
     return sum(_coloured(focused.unit(light), light) for light in lamps)
 

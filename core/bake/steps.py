@@ -18,6 +18,7 @@ from ..rays import Bvh, Tracer
 from ..scene import Scene
 from ..surface import Patches, SurfaceSamples, Texels, Vertices, make_patches, make_texels, make_vertices
 from ..transfer import Entries, Gatherer, Transport, find_entries, make_gatherer, make_piece_gatherer, make_transport
+from ..transfer.covered import covered
 from ..transfer.entries import MAX_ALBEDO, PLACES
 from .clock import Clock
 from .kept import Kept
@@ -28,6 +29,12 @@ PILOTS = 32_768
 
 KEPT_BACK = 0.85
 """Part of the time left that is planned for: the check comes last, and machines have other things to do."""
+
+FOCUSING = 0.05
+"""Part of the time left in which caustics of lamps that are not live are traced, in the hurried bake and in the other."""
+
+TICKS = 1000
+"""Of the clock, in which they are counted."""
 
 GUIDES = 16
 """Training lamps that steer the points' density."""
@@ -156,7 +163,8 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
         is_buried = _nothing
         warnings.append("Every texel lies inside a closed object; put a lamp inside the room, or flip its normals.")
     if not at_points:
-        texels = texels.keep(~buried)
+        buried |= covered(scene, texels, Tracer(scene) if surfaces.focuses else tracer, seed)
+        texels = texels.keep(~buried | buried.all())
     warnings += _too_white(scene, patches)
     bins = sky_bins(scene.sky)
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
@@ -197,7 +205,7 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
     static = static_light(scene, surface, tracer, seed)
     arriving = static
     if static is not None and surfaces.focuses:
-        arriving = static + static_caustics(scene, surface, surfaces.resolution, tracer, seed, settings.photons)
+        arriving = static + _focused(surfaces, surface, settings, clock)
     steady, shine = steady_light(scene.sky, bins, entries, transport, arriving)
     tables = _tables(modes, steady, shine, gatherer.size)
     if test_direct is None:
@@ -222,6 +230,21 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
         made.exits = texels.keep(np.lexsort((texels.index, own)))
         made.starts = starts_of(own, modes.regions)
     return made
+
+
+def _focused(surfaces: Surfaces, surface: EntrySurface, settings: Settings, clock: Clock) -> np.ndarray:
+    """(n, 3) caustics of the lamps that are not live at the entries."""
+    clock.start("Caustics", TICKS)
+    told = 0
+
+    def tell(part):
+        nonlocal told
+        clock.tick(int(TICKS * part) - told, 0)
+        told = int(TICKS * part)
+
+    seconds = FOCUSING * time_left(settings, clock) if settings.time_budget else np.inf
+    given = surfaces.scene, surface, surfaces.resolution, surfaces.tracer, settings.seed, settings.photons
+    return static_caustics(*given, tell, seconds)
 
 
 def in_time(made: Prepared, settings: Settings, clock: Clock, rays: str, places: int) -> None:

@@ -198,8 +198,8 @@ def test_a_lamp_that_is_baked_in(glass, monkeypatch):
     assert bpy.ops.lightpanes.bake() == {"FINISHED"}
     live, bounced = image(), image(store.IRRADIANCE)
     bpy.data.lights["Lamp"].lightpanes.live = False
-    asked, image_of = [], CausticAtlas.image
-    monkeypatch.setattr(CausticAtlas, "image", lambda self, *given: asked.append(given[1:]) or image_of(self, *given))
+    asked, refine = [], CausticAtlas.refine
+    monkeypatch.setattr(CausticAtlas, "refine", lambda self, *given: asked.append(given[1:]) or refine(self, *given))
     assert bpy.ops.lightpanes.bake() == {"FINISHED"}
     assert (20_000,) in asked, "its bounces take as many photons as are asked for"
     assert np.allclose(image(), live, rtol=1e-4, atol=1e-5)

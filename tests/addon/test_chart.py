@@ -17,6 +17,8 @@ from lightpanes.core.bake import Progress, Settings  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
 from lightpanes.tests.frugal import save_rays  # noqa: E402
 
+from .glassware import ball, material  # noqa: E402
+
 SIZE = 48
 SMALL = {"entries": 400, "entry_rays": 256, "exit_rays": 64, "regions": 8, "panes": 16, "lamps": 150}
 SETTINGS = Settings(resolution=SIZE, **SMALL)
@@ -174,9 +176,24 @@ def test_steady_light_is_put_out(room, small):
     assert mask.any() and not dark[mask].any()
 
 
+def test_glass_and_mirrors_are_alike_for_cycles_and_for_us(room, small):
+    """Else Cycles would add what they focus, and the light that ours lets straight on through glass."""
+    ball(room, radius=0.4)
+    ball(room, "Mirror", (0.5, -0.5, -0.6), 0.3, material("Metal", Metallic=1.0))
+    assert chart.blacken() == ["'Glass'", "'Metal'"]
+    atlas.make_atlas(bpy.context, [o for o in room.objects if o.type == "MESH"], SIZE)
+    scene = extract(bpy.context, resolution=SIZE)
+    lights = tuple(scene.lights)
+    truth = reference.indirect(bpy.context, SIZE, 64)
+    made = methods.eigenpanes(scene, SETTINGS, lambda part: None)
+    found = chart.Truth(truth, 0.0).compare(made.relight(lights), made.valid)
+    assert found.error < 0.12 and abs(found.bias) < 0.04
+    assert chart.blacken() == []
+
+
 def test_black_scene(room, small):
-    for material in bpy.data.materials:
-        material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0, 0, 0, 1)
+    for made in bpy.data.materials:
+        made.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0, 0, 0, 1)
     with pytest.raises(SceneError, match="light nothing: every surface is black"):
         chart.measure(bpy.context, 32)
 

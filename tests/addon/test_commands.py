@@ -68,6 +68,14 @@ def test_report_on_the_terminal_is_json_and_nothing_else(file, capsys):
     assert said["stale"] == [] and said["error"] > 0
 
 
+def test_report_on_the_terminal_is_apart_from_what_blender_writes(file, capfd):
+    """Its lines come from C, past Python's stdout."""
+    assert commands.main(bake_words(file, "--json", "-")) == 0
+    out, err = capfd.readouterr()
+    assert json.loads(out)["error"] > 0
+    assert "Read blend" in err and "Baked in" in err
+
+
 @pytest.mark.parametrize("report", ["-", "report.json"])
 def test_info_comes_before_points_that_are_not_there(file, tmp_path, capsys, report):
     assert commands.main(bake_words(file)) == 0
@@ -124,11 +132,11 @@ def test_not_a_blend(blender, tmp_path, capsys, content):
 
 
 @pytest.mark.parametrize("keep", [0.05, 0.6])
-def test_a_truncated_blend(file, capsys, keep):
+def test_a_truncated_blend(file, capfd, keep):
     content = file.read_bytes()
     path = file.with_name("cut.blend")
     path.write_bytes(content[: int(keep * len(content))])
-    assert complaint(capsys, "bake", path).startswith("Blender can't open 'cut.blend': ")
+    assert complaint(capfd, "bake", path).startswith("Blender can't open 'cut.blend': ")
 
 
 def test_nothing_to_bake(blender, tmp_path, capsys):
@@ -145,7 +153,7 @@ def test_nothing_to_bake(blender, tmp_path, capsys):
         ("--error", "0", "argument --error: '0' is not a number from 0.002 to 0.5"),
         ("--error", "nan", "argument --error: 'nan' is not a number from 0.002 to 0.5"),
         ("--error", "small", "argument --error: 'small' is not a number from 0.002 to 0.5"),
-        ("--time", "-1", "argument --time: '-1' is not a number from 0 to 1e+06"),
+        ("--time", "-1", "argument --time: '-1' is not a number from 0 to 1000000"),
         ("--resolution", "3.5", "argument --resolution: '3.5' is not a whole number from 16 to 4096"),
         ("--resolution", "100000", "argument --resolution: '100000' is not a whole number from 16 to 4096"),
     ],
@@ -178,15 +186,41 @@ def test_report_into_a_missing_folder(file, capsys):
     )
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a folder that not even root can write to")
+@pytest.mark.parametrize("word", ["bake", "info", "chart"])
+def test_report_into_a_read_only_folder(file, capsys, word):
+    """Known before anything is baked."""
+    path = "/proc/report.json"
+    assert complaint(capsys, word, file, "--json", path).startswith(f"Can't write the report to '{path}': ")
+    assert [p.name for p in file.parent.iterdir()] == ["room.blend"]
+
+
+def test_report_over_a_folder(file, tmp_path, capsys):
+    message = f"Can't write the report to '{tmp_path}': it is a folder; name a file."
+    assert complaint(capsys, "bake", file, "--json", tmp_path) == message
+
+
 def test_report_over_the_input(file, capsys):
     original = file.read_bytes()
     assert complaint(capsys, "bake", file, "--json", file) == "--json names the .blend itself."
     assert file.read_bytes() == original
 
 
-@pytest.mark.parametrize("word", ["info", "relight"])
+@pytest.mark.parametrize("word", ["info", "relight", "animate"])
 def test_files_without_a_bake(file, capsys, word):
-    assert "has no bake" in complaint(capsys, word, file)
+    rest = "makes room_lightpanes.blend, which has one."
+    message = f"'room.blend' has no bake in scene 'Scene'. 'python -m lightpanes bake room.blend' {rest}"
+    assert complaint(capsys, word, file) == message
+    bpy.ops.wm.open_mainfile(filepath=str(file))
+    capsys.readouterr()
+    assert commands.main([word], opened=True) == 2
+    told = capsys.readouterr().err
+    assert told.endswith(f"'blender --background FILE.blend --command lightpanes bake' {rest}\n")
+
+
+def test_a_frame_in_letters(file, capsys):
+    message = "argument --frame: 'abc' is not a whole number from -1048574 to 1048574"
+    assert complaint(capsys, "relight", file, "--frame", "abc").startswith(message)
 
 
 def test_help(blender, capsys):

@@ -278,3 +278,61 @@ def test_a_second_output_of_the_user_stays_active(room):
     nodes.detach(room)
     assert tree_state(tree) == before
     assert tree.get_output_node("EEVEE") == second
+
+
+@pytest.mark.parametrize(
+    "inputs",
+    [
+        {"Roughness": 0.5},
+        {"Roughness": 0.2, "IOR": 1.35},
+        {"Roughness": 0.8, "Specular IOR Level": 1.0},
+        {"Roughness": 0.6, "Coat Weight": 0.5, "Coat Roughness": 0.1},
+    ],
+)
+def test_gloss_lies_over_baked_light_as_over_cycles_own(blender, inputs):
+    """What a white world brings a ball beside its gloss: the ball less a black one; baked light looks alike, at each angle."""
+    scene = bpy.context.scene
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=128, ring_count=96)
+    bpy.context.object.data.polygons.foreach_set("use_smooth", [True] * len(bpy.context.object.data.polygons))
+    made = bpy.data.materials.new("Glossy")
+    if made.node_tree is None:
+        made.use_nodes = True
+    shader = next(node for node in made.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    for name, value in inputs.items():
+        shader.inputs[name].default_value = value
+    bpy.context.object.data.materials.append(made)
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    camera.data.type, camera.data.ortho_scale, camera.location = "ORTHO", 2.0, (0, 0, 5)
+    scene.collection.objects.link(camera)
+    scene.camera, scene.cycles.pixel_filter_type = camera, "BOX"
+    world = bpy.data.worlds.new("World")
+    if world.node_tree is None:
+        world.use_nodes = True
+    background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
+    background.inputs["Color"].default_value = (1, 1, 1, 1)
+    size = 32
+    at = (np.arange(size) + 0.5) / size * 2 - 1
+    cosine = np.sqrt(np.maximum(1 - at[:, None] ** 2 - at**2, 0))
+    seen = []
+    for base in (0.8, 0.0):
+        scene.world, shader.inputs["Base Color"].default_value = world, (base, base, base, 1)
+        seen.append(render(scene, 64, size, max_bounces=1).mean(axis=2) / 0.8)
+    truth = seen[0] - seen[1]
+    scene.world, shader.inputs["Base Color"].default_value = None, (0.8, 0.8, 0.8, 1)
+    show(scene)
+    scene.lightpanes.cycles = True
+    found = (render(scene, 16, size) * math.pi / (0.8 * IRRADIANCE)).mean(axis=2)
+    for low, high in ((0.3, 0.5), (0.5, 0.7), (0.7, 1.01)):
+        ring = (cosine > low) & (cosine < high)
+        assert truth[ring].mean() < 0.99, "gloss takes its part"
+        assert found[ring].mean() == pytest.approx(truth[ring].mean(), abs=0.012)
+
+
+def test_groups_of_older_files_get_their_inputs(room):
+    show(room)
+    group = nodes.group_of(room)
+    for item in list(group.interface.items_tree):
+        if item.name.startswith("Gloss"):
+            group.interface.remove(item)
+    nodes.rebuild(room)
+    assert {"Gloss", "Gloss Edge", "Gloss Power"} <= {item.name for item in group.interface.items_tree}

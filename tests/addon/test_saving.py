@@ -52,7 +52,9 @@ def test_saving_images_beside_the_file(baked, tmp_path):
 
 def test_saving_images_where_none_can_be(baked, tmp_path):
     (tmp_path / "file").write_text("no folder")
-    with pytest.raises(RuntimeError, match=r"Can't write '.*Lightpanes Irradiance\.exr': .* Choose another folder"):
+    with pytest.raises(
+        RuntimeError, match=r"Can't write '.*Lightpanes Irradiance\.exr': Not a directory. Choose another folder"
+    ):
         bpy.ops.lightpanes.save_images(directory=str(tmp_path / "file"))
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 

@@ -18,7 +18,11 @@ def test_the_python_example_runs_as_printed(tmp_path, monkeypatch, capsys):
     names = {}
     exec(compile(code, README.name, "exec"), names)
     assert (tmp_path / "room.npz").exists()
-    assert capsys.readouterr().out.startswith("error 0.0")
+    out = capsys.readouterr().out
+    assert out.startswith("error 0.0")
+    (told,) = re.findall(r"^It prints `error ([\d.]+), mean ([\d.]+) W/m²`", README.read_text("utf-8"), re.MULTILINE)
+    found = re.fullmatch(r"error ([\d.]+), mean ([\d.]+) W/m²\n", out).groups()
+    assert abs(float(found[0]) - float(told[0])) < 0.005 and abs(float(found[1]) - float(told[1])) < 0.05
     baked, image, lamp = names["baked"], names["image"], names["lamp"]
     assert image.shape == (128, 128, 4) and image.dtype == np.float32
     assert baked.report["error"] < 0.1 and not baked.report["warnings"]
