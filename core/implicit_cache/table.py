@@ -30,6 +30,8 @@ CLOCK, TICKS = 256, 4
 SHIFT = 64
 """Slots between an entry and where its search begins are fewer: the low 6 bits."""
 
+TINY = np.float32(1e-12)
+
 
 class Table:
     """Means and counts by 64-bit key. channels: numbers of a mean; slots: how many, a power of two.
@@ -66,6 +68,10 @@ class Table:
         slot = find(self.tag[:-1], *self._homes(keys.reshape(-1)))
         slot[slot < 0] = self.nowhere
         return slot.reshape(keys.shape)
+
+    def has_room(self, count: int) -> bool:
+        """Whether so many more entries can be made and none forgotten."""
+        return self.used + count <= int(FULL * self.slots)
 
     def insert(self, keys: np.ndarray) -> np.ndarray:
         """(n,) int32 slots for (n,) different keys that the table does not hold; `nowhere` for those that find none.
@@ -118,12 +124,6 @@ class Table:
         away = (self.word[slots] & np.uint32(SHIFT - 1)).astype(np.int32)
         return (slots - away & self.slots - 1).astype(np.int32)
 
-    def find_again(self, home: np.ndarray, tag: np.ndarray) -> np.ndarray:
-        """(n,) int64 slots of entries known by their home and tag, `nowhere` for those that are gone."""
-        slot = find(self.tag[:-1], home, tag).astype(np.int64)
-        # nowhere has no tag
-        return np.where((slot < 0) | (tag == EMPTY), self.nowhere, slot)
-
     def _stamp(self):
         return self.now // TICKS % CLOCK
 
@@ -152,6 +152,28 @@ class Table:
         self.mean[:, slots] = mean
         units = np.rint(np.minimum(count, MOST) * (1 / STEP)).astype(np.uint32)
         self._write(slots, np.maximum(units, count > 0), self._stamp())
+        self.word[self.nowhere] = 0
+
+    def merge(self, slots: np.ndarray, sums: np.ndarray, share: np.ndarray, most: float) -> None:
+        """Add samples to the entries at different slots (n,): their sums (channels, n), and (n,) of their weights. No entry
+        counts more than `most`."""
+        word = self.word.take(slots)
+        before = (word >> np.uint32(14)).astype(np.float32)
+        before *= np.float32(STEP)
+        count = before + share
+        weight = 1 / np.maximum(count, TINY)
+        before *= weight
+        for mean, own in zip(self.mean, sums, strict=True):
+            now = mean.take(slots)
+            now *= before
+            now += own * weight
+            mean[slots] = now
+        count *= np.float32(1 / STEP)
+        np.minimum(np.rint(count, out=count), np.float32(min(most, MOST) / STEP), out=count)
+        word &= np.uint32(SHIFT - 1)
+        word |= np.maximum(count.astype(np.uint32), share > 0) << np.uint32(14)
+        word |= np.uint32(self._stamp() << 6)
+        self.word[slots] = word
         self.word[self.nowhere] = 0
 
     def _write(self, slots, units, stamp):
