@@ -167,9 +167,9 @@ class Cache:
                 sums.append(total)
             if self.measured:
                 finest = piece.tiers[0]
-                mean, count = self.table.mean[:, finest.slot], self.table.counts(finest.slot)
+                known = self.table.sums(finest.slot)
                 piece.noise *= MEMORY
-                piece.noise += scatter(sums[0], finest.share, mean, count, piece.nearest, piece.noise.shape[1])
+                piece.noise += scatter(sums[0], finest.share, known, piece.nearest, piece.noise.shape[1])
             return sums
 
         self.table.tick()
@@ -200,10 +200,10 @@ class Cache:
 
     def _mix(self, piece):
         tiers = piece.tiers
-        total = self._sums(tiers[-1])
+        total = self.table.sums(tiers[-1].slot)
         # from the coarsest on: what is known by then joins the sums of the next as so many samples
         for k in range(len(tiers) - 2, -1, -1):
-            own, above = self._sums(tiers[k]), tiers[k + 1].shares.mixtures(total)
+            own, above = self.table.sums(tiers[k].slot), tiers[k + 1].shares.mixtures(total)
             worth = self.trust[k]
             if k == 0 and self.measured:
                 worth = self._measured_trust(piece, own, above)
@@ -211,11 +211,6 @@ class Cache:
             own += above
             total = own
         return tiers[0].shares.mixtures(total)
-
-    def _sums(self, tier):
-        """(channels + 1, m) float32 sums of each channel and counts, of a tier's entries."""
-        count = self.table.counts(tier.slot)
-        return np.concatenate([self.table.mean[:, tier.slot] * count, count[None]])
 
     def _measured_trust(self, piece, own, above):
         noise = piece.noise[0] / np.maximum(piece.noise[1], TINY)

@@ -45,8 +45,10 @@ class Table:
         self.channels, self.slots, self.used, self.now, self.moves = channels, slots, 0, 0, 0
         # one more at the end, for what finds no place: nothing is ever kept there
         self.tag = np.zeros(slots + 1, np.uint32)
-        self.mean = np.zeros((channels, slots + 1), np.float32)
-        self.word = np.zeros(slots + 1, np.uint32)
+        # word and means of an entry lie together, so that one fetch gets them
+        self._rows = np.zeros((slots + 1, 1 + channels), np.uint32)
+        self.word = self._rows[:, 0]
+        self.mean = self._rows[:, 1:].view(np.float32).T
 
     @property
     def nowhere(self) -> int:
@@ -157,24 +159,30 @@ class Table:
     def merge(self, slots: np.ndarray, sums: np.ndarray, share: np.ndarray, most: float) -> None:
         """Add samples to the entries at different slots (n,): their sums (channels, n), and (n,) of their weights. No entry
         counts more than `most`."""
-        word = self.word.take(slots)
-        before = (word >> np.uint32(14)).astype(np.float32)
-        before *= np.float32(STEP)
+        rows = self._rows.take(slots, axis=0)
+        word, means = rows[:, 0], rows[:, 1:].view(np.float32).T
+        before = _count_of(word)
         count = before + share
         weight = 1 / np.maximum(count, TINY)
         before *= weight
-        for mean, own in zip(self.mean, sums, strict=True):
-            now = mean.take(slots)
-            now *= before
-            now += own * weight
-            mean[slots] = now
+        for mean, own in zip(means, sums, strict=True):
+            mean *= before
+            mean += own * weight
         count *= np.float32(1 / STEP)
         np.minimum(np.rint(count, out=count), np.float32(min(most, MOST) / STEP), out=count)
         word &= np.uint32(SHIFT - 1)
         word |= np.maximum(count.astype(np.uint32), share > 0) << np.uint32(14)
         word |= np.uint32(self._stamp() << 6)
-        self.word[slots] = word
+        self._rows[slots] = rows
         self.word[self.nowhere] = 0
+
+    def sums(self, slots: np.ndarray) -> np.ndarray:
+        """(channels + 1, n) float32 mean times count of each channel, and counts, of (n,) entries."""
+        rows = self._rows.take(slots, axis=0)
+        result = np.empty((1 + self.channels, len(slots)), np.float32)
+        result[-1] = _count_of(rows[:, 0])
+        np.multiply(rows[:, 1:].view(np.float32).T, result[-1], out=result[:-1])
+        return result
 
     def _write(self, slots, units, stamp):
         away = self.word[slots] & np.uint32(SHIFT - 1)
@@ -191,3 +199,9 @@ class Table:
         units = (self.word >> np.uint32(14)).astype(np.float32) * np.float32(factor)
         self.word &= np.uint32((1 << 14) - 1)
         self.word |= units.astype(np.uint32) << np.uint32(14)
+
+
+def _count_of(word):
+    count = (word >> np.uint32(14)).astype(np.float32)
+    count *= np.float32(STEP)
+    return count

@@ -29,18 +29,21 @@ LITTLE = 0.05
 TINY = 1e-12
 
 
-def scatter(
-    sums: np.ndarray, share: np.ndarray, mean: np.ndarray, count: np.ndarray, nearest: np.ndarray, entries: int
-) -> np.ndarray:
+def scatter(sums: np.ndarray, share: np.ndarray, known: np.ndarray, nearest: np.ndarray, entries: int) -> np.ndarray:
     """(2, entries) sums, by coarse entry, that tell how a frame's samples differ from what was known: of squared
     differences, a mean over channels, and of what these would be for samples of variance 1.
 
-    sums: (channels, m) of the frame's samples at fine entries, and share: (m,) of their weights. mean: (channels, m)
-    and count: (m,) of what was known there before. nearest: (m,) their coarse entry.
+    sums: (channels, m) of the frame's samples at fine entries, and share: (m,) of their weights. known: rows of
+    S = mean × count for each channel, and of counts, before, (channels + 1, m). nearest: (m,) their coarse entry.
     """
-    told = count > 1
-    squared = (((sums - share * mean) ** 2).sum(axis=0) / len(sums)) * told
-    wanted = SPREAD * (share + share**2 / np.maximum(count, 1)) * told
+    count = np.maximum(known[-1], 1)
+    told = known[-1] > 1
+    ratio = share / count
+    squared = np.zeros(len(share), np.float32)
+    for own, before in zip(sums, known[:-1], strict=True):
+        squared += (own - ratio * before) ** 2
+    squared *= told / np.float32(len(sums))
+    wanted = SPREAD * (share + share * ratio) * told
     return np.stack([np.bincount(nearest, part, minlength=entries) for part in (squared, wanted)])
 
 
@@ -56,7 +59,10 @@ def departure(
     count, there = sums[-1], above[-1]
     weight = share * ((count > LITTLE) & (there > 0))
     count, there = np.maximum(count, np.float32(LITTLE)), np.maximum(there, np.float32(TINY))
-    squared = ((sums[:-1] / count - above[:-1] / there) ** 2).sum(axis=0) / (len(sums) - 1)
+    squared = np.zeros(len(share), np.float32)
+    for own, coarse in zip(sums[:-1], above[:-1], strict=True):
+        squared += (own / count - coarse / there) ** 2
+    squared /= np.float32(len(sums) - 1)
     explained = noise.take(nearest) * SPREAD / count
     parts = (squared * weight, explained * weight, weight, weight * weight)
     return np.stack([np.bincount(nearest, part, minlength=len(noise)) for part in parts])
