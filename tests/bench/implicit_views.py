@@ -66,10 +66,7 @@ def look(stage: Stage, bvh: Bvh, through: Camera) -> View:
         hits = bvh.hits(origin, way)
         rows = np.flatnonzero(hits.triangle >= 0)
         triangle, way = hits.triangle[rows], way[rows]
-        a, b, c = stage.corners[triangle].transpose(1, 0, 2)
-        normal = np.cross(b - a, c - a)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        normal[np.einsum("nd,nd->n", normal, way) > 0] *= -1
+        normal = stage.facing(triangle, way)
         place = origin[rows] + hits.distance[rows, None] * way
         footprint = through.footprint(through.depth(place))
         return place + np.float32(1e-4) * normal, normal, stage.object_id[triangle], footprint, hits.triangle >= 0
@@ -112,10 +109,7 @@ def one_bounce(view: View, bvh: Bvh, stage: Stage, lamp, frame_number: int) -> n
         light = np.zeros((len(ways), 3), np.float32)
         rows = np.flatnonzero(hits.triangle >= 0)
         triangle, ways = hits.triangle[rows], ways[rows]
-        a, b, c = stage.corners[triangle].transpose(1, 0, 2)
-        normal = np.cross(b - a, c - a)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        normal[np.einsum("nd,nd->n", normal, ways) > 0] *= -1
+        normal = stage.facing(triangle, ways)
         place = view.position[part][rows] + hits.distance[rows, None] * ways + np.float32(1e-4) * normal
         away = lamp - place
         squared = np.einsum("nd,nd->n", away, away)
