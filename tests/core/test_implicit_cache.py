@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lightpanes.core.implicit_cache import Cache
 from lightpanes.core.implicit_cache.keys import normal_bins
+from lightpanes.core.implicit_cache.lattice import distinct
 
 
 class SlowCache:
@@ -89,6 +90,15 @@ class SlowCache:
             *sums, count = sum(weight * known(key, 0) for key, weight in self.of_sample(*place))
             result.append(np.array(sums) / (count or 1))
         return np.array(result)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.integers(0, 40), max_size=200), st.sampled_from([1, 1 << 40, 0x9E3779B97F4A7C15]))
+def test_keys_once_each(numbers, step):
+    keys = np.array(numbers, np.uint64) * np.uint64(step)
+    chosen, which = distinct(keys)
+    assert sorted(keys[chosen]) == sorted(set(keys.tolist()))
+    assert np.array_equal(keys[chosen][which], keys)
 
 
 def some_places(count, seed, objects=True):
