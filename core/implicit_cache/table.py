@@ -49,6 +49,8 @@ class Table:
         self._rows = np.zeros((slots + 1, 1 + channels), np.uint32)
         self.word = self._rows[:, 0]
         self.mean = self._rows[:, 1:].view(np.float32).T
+        # whole rows as one value each: numpy writes these several times as fast
+        self._entries = _whole(self._rows)
 
     @property
     def nowhere(self) -> int:
@@ -173,7 +175,7 @@ class Table:
         word &= np.uint32(SHIFT - 1)
         word |= np.maximum(count.astype(np.uint32), share > 0) << np.uint32(14)
         word |= np.uint32(self._stamp() << 6)
-        self._rows[slots] = rows
+        self._entries[slots] = _whole(rows)
         self.word[self.nowhere] = 0
 
     def sums(self, slots: np.ndarray) -> np.ndarray:
@@ -205,3 +207,7 @@ def _count_of(word):
     count = (word >> np.uint32(14)).astype(np.float32)
     count *= np.float32(STEP)
     return count
+
+
+def _whole(rows):
+    return rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1])))[:, 0]

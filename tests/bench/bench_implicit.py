@@ -151,8 +151,7 @@ def table_rows() -> Iterator[dict]:
         yield harness.row(
             f"{name}: our FLIP over the thesis's",
             mine.flip / thesis.flip,
-            1,
-            "×",
+            unit="×",
             detail=f"{mine.flip:.4f} and {thesis.flip:.4f}",
         )
         yield harness.row(

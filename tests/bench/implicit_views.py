@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from lightpanes.core.files import replacing
@@ -34,6 +35,16 @@ class View:
     footprint: np.ndarray
     hit: np.ndarray
     pixel: np.ndarray
+
+    @functools.cached_property
+    def sides(self) -> tuple[np.ndarray, np.ndarray]:
+        """(n, 3) float32 across and along surfaces."""
+        return tuple(
+            np.concatenate(part) for part in zip(*in_threads(self._sides, chunks(len(self.normal), PIECE)), strict=True)
+        )
+
+    def _sides(self, part):
+        return frame(self.normal[part])
 
     def image(self, value: np.ndarray) -> np.ndarray:
         """(HEIGHT, WIDTH) float32; the sky is open, 1."""
@@ -76,17 +87,28 @@ def look(stage: Stage, bvh: Bvh, through: Camera) -> View:
     return View(*made, hit, np.flatnonzero(hit))
 
 
+@functools.cache
+def _shifts() -> np.ndarray:
+    """(HEIGHT · WIDTH, 2) float32, where each pixel's sequence begins."""
+    pixel = np.arange(HEIGHT * WIDTH)
+    return np.stack([hash_uniform(pixel, d, 1) for d in (0, 1)], axis=1)
+
+
 def _cosine_rays(view, part, frame_number):
     """(n, 3) one a pixel: each takes the R2 sequence, shifted."""
-    shift = np.stack([hash_uniform(view.pixel[part], d, 1) for d in (0, 1)], axis=1)
-    points = shift + np.array(PLASTIC) * (frame_number + 1)
-    return _around(view.normal[part], (points - np.floor(points)).astype(np.float32))
+    points = _shifts()[view.pixel[part]]
+    points += (np.array(PLASTIC) * (frame_number + 1) % 1).astype(np.float32)
+    points -= np.floor(points)
+    return _around(view.normal[part], [side[part] for side in view.sides], points)
 
 
-def _around(normal, points):
-    across, along = frame(normal)
+def _around(normal, sides, points):
+    ways = normal.copy()
     local = cosine_hemisphere(points)
-    return local[:, :1] * across + local[:, 1:2] * along + local[:, 2:] * normal
+    ways *= local[:, 2:]
+    for k, side in enumerate(sides):
+        ways += local[:, k : k + 1] * side
+    return ways
 
 
 def openness(view: View, bvh: Bvh, reach: float, frame_number: int) -> np.ndarray:
@@ -137,7 +159,9 @@ def reference(view: View, bvh: Bvh, reach: float, rays: int = REFERENCE) -> np.n
 
 
 def _blocked(view, bvh, part, points, reach):
-    return bvh.occluded(view.position[part], _around(view.normal[part], points) * np.float32(reach))
+    return bvh.occluded(
+        view.position[part], _around(view.normal[part], [side[part] for side in view.sides], points) * np.float32(reach)
+    )
 
 
 @dataclass(frozen=True)
@@ -173,5 +197,5 @@ def footage(name: str, frames: int = 64) -> Footage:
     made = Footage(view, seen, reference(view, bvh, stage.reach))
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as part:
-        np.savez(part, **view.__dict__, frames=np.packbits(seen, axis=1), reference=made.reference)
+        np.savez(part, **asdict(view), frames=np.packbits(seen, axis=1), reference=made.reference)
     return made
