@@ -1,68 +1,43 @@
 """The cache that a preview uses: what frames find at surfaces, kept in world space and read back without noise.
 
-Each sample is split over the corners of three lattices, from fine to coarse, by trilinear weights. A read is
-(S + k V) / (C + k): S and C are the sum and the count of samples that the fine corners hold, V the mean of the next
-coarser ones, made likewise, and k says how many samples that mean is worth (trust.py). So the first frames are smooth,
-later ones sharp, and nothing is tuned.
+Each sample is split over the corners of its cell in a fine lattice, and what these gain over those of a coarser one, and
+so on, by trilinear weights. At each fine corner is known (S + k V) / (C + k): S and C are the sum and the count of its
+samples, V the mean of the coarser corners around it, made likewise, and k says how many samples that mean is worth
+(trust.py). A read mixes what is known at the corners around. So the first frames are smooth, later ones sharp, and
+nothing is tuned.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from ..rays import chunks
 from ..threads import in_threads
-from .keys import CORNERS, lattice_keys, surface_keys
-from .lattice import corners
-from .layers import Layer, Packed, number_entries
+from .keys import surface_keys
 from .levels import levels_of
+from .places import Places, find_piece, make_missing
 from .table import MOST, Table
-from .trust import EVERY, MEMORY, departure, scatter, worth
-
-PIECE = 1 << 14
-"""Samples handled together: their corners stay in the second-level cache. No result depends on threads."""
-
-HANDED_DOWN = 16.0
-"""A new entry begins with the mean of the next coarser one, worth at most so many samples."""
-
+from .trust import MEMORY, departure, scatter, worth
 
 TINY = np.float32(1e-12)
 
-
-@dataclass
-class Places:
-    """Where in a cache some samples belong. It stays usable while the samples stay where they are.
-
-    count: of samples. slot: (m,) int64 entries that they use; home, tag: (m,) int32 and uint32, by which these are found
-    again once the table has put itself in order (`moves`). pieces: for each piece of the samples a layer for each lattice,
-    finest first; thin: the first two of them for a few of the samples. share: (m,) float32 sums of weights.
-    noise: (2, m) sums that tell how samples scatter.
-    """
-
-    count: int
-    slot: np.ndarray
-    home: np.ndarray
-    tag: np.ndarray
-    moves: int
-    pieces: Sequence[Sequence[Layer]]
-    thin: Sequence[Sequence[Layer]]
-    share: np.ndarray
-    noise: np.ndarray
+PIECE = 1 << 15
+"""Samples handled together: few enough for all threads to have some. No result depends on how many threads there are."""
 
 
 class Cache:
     """Shading in world space, from many frames.
 
     channels: 1 (occlusion; 12 bytes an entry) or 3 (colour; 20).
-    fine, coarse: cells' edges in footprints of a pixel, coarse ones in growing order; none for a single lattice.
+    fine, coarse: cells' edges in footprints of a pixel, each a power of two times the finer one; no coarse ones for a
+        single lattice.
     trust: samples that the mean of each coarse lattice is worth beside what is finer; that of the first is where it
         begins, and then measured unless `measured` is False (see trust.py).
     most: no entry counts more samples than this, so what changed fades in as fast as 1 / most.
     slots: of the table, a power of two; half of them can be in use, then the least recently seen entries go.
-    by_normal: whether surfaces that face other ways (of 26) are kept apart.
+    by_normal: whether surfaces that face other ways, by some 16°, are kept apart.
     seed: another seed, other hashes. threads: None for all.
 
     The same samples give the same values on one thread or many.
@@ -72,8 +47,8 @@ class Cache:
         self,
         channels: int = 1,
         *,
-        fine: float = 2.5,
-        coarse: Sequence[float] | None = (8.0, 32.0),
+        fine: float = 3.5,
+        coarse: Sequence[float] | None = (14.0, 56.0),
         trust: Sequence[float] = (48.0, 12.0),
         measured: bool = True,
         most: float = MOST,
@@ -84,13 +59,17 @@ class Cache:
     ):
         if channels < 1:
             raise ValueError(f"A cache holds at least one channel, not {channels}.")
-        self.sizes = (fine, *(coarse or ()))
-        if fine <= 0 or (np.diff(self.sizes) <= 0).any():
-            raise ValueError(f"Cells must have a size, and grow from lattice to lattice: {self.sizes}.")
-        self.trust = tuple(trust)[: len(self.sizes) - 1]
-        if len(self.trust) < len(self.sizes) - 1:
-            raise ValueError(f"{len(self.sizes) - 1} coarse lattices need as many trusts, not {len(self.trust)}.")
-        self.measured = measured and len(self.sizes) > 1
+        sizes = np.array([fine, *(coarse or ())])
+        if fine <= 0 or (sizes[1:] <= sizes[:-1]).any():
+            raise ValueError(f"Cells must have a size, and grow from lattice to lattice: {sizes.tolist()}.")
+        octaves = np.log2(sizes[1:] / sizes[:-1])
+        if (octaves != np.rint(octaves)).any():
+            raise ValueError(f"Cells must grow by powers of two from lattice to lattice: {sizes.tolist()}.")
+        self.fine, self.octaves = fine, tuple(octaves.astype(int).tolist())
+        self.trust = tuple(trust)[: len(octaves)]
+        if len(self.trust) < len(octaves):
+            raise ValueError(f"{len(octaves)} coarse lattices need as many trusts, not {len(self.trust)}.")
+        self.measured = measured and len(octaves) > 0
         self.most, self.by_normal, self.seed, self.threads = most, by_normal, seed, threads
         self.table = Table(channels, slots)
 
@@ -154,99 +133,23 @@ class Cache:
         footprint = np.broadcast_to(np.asarray(footprint, np.float32), count)
         normal = normal if self.by_normal else None
 
-        def seek(piece):
+        def find(piece):
             own = np.ascontiguousarray(position[piece].T)
             facing = None if normal is None else np.ascontiguousarray(normal[piece].T)
             ids = None if object_id is None else object_id[piece]
             surface = surface_keys(facing, ids, self.seed, own.shape[1])
-            found = []
-            for size in self.sizes:
-                runs = corners(own, levels_of(footprint[piece] * np.float32(size)), surface)
-                found.append((runs, self.table.find(runs.key)))
-            return found
+            level = levels_of(footprint[piece] * np.float32(self.fine))
+            return find_piece(self.table, own, level, surface, self.octaves, self.measured)
 
-        def again(piece):
-            return [(runs, self.table.find(runs.key)) for runs, _ in piece]
-
-        pieces = in_threads(seek, _pieces(count), self.threads)
-        found = [layer for piece in pieces for layer in piece]
-        used = np.zeros(self.table.slots + 1, bool)
-        for _, slot in found:
-            used[slot] = True
+        places = Places(count, in_threads(find, _pieces(count), self.threads), self.table.moves)
         if create:
-            # before others are made, so that these are not forgotten for them
-            self.table.touch(np.flatnonzero(used))
-            moves = self.table.moves
-            made = self._make_missing(found)
-            if moves == self.table.moves:
-                used[made] = True
-            else:
-                pieces = in_threads(again, pieces, self.threads)
-                used[:] = False
-                for piece in pieces:
-                    for _, slot in piece:
-                        used[slot] = True
-        live = np.flatnonzero(used)
-        number = np.empty(self.table.slots + 1, np.int32)
-        number[live] = np.arange(len(live), dtype=np.int32)
-
-        def settle(piece):
-            layers = []
-            for runs, slot in piece:
-                entry, own = number_entries(number.take(slot), len(live))
-                layers.append(Layer(entry, runs.weight, own.astype(np.int64).take(runs.run, axis=1)))
-            thin = [layer.thinned(EVERY) for layer in layers[:2]] if self.measured else []
-            return layers, thin, [layer.sums() for layer in layers]
-
-        layers, thin, sums = zip(*in_threads(settle, pieces, self.threads), strict=True)
-        share = np.zeros(len(live))
-        for piece, parts in zip(layers, sums, strict=True):
-            for layer, part in zip(piece, parts, strict=True):
-                share[layer.entry] += part
-        home, tag = self.table.homes(live), self.table.tag[live]
-        noise = np.zeros((2, len(live)))
-        return Places(count, live, home, tag, self.table.moves, layers, thin, share.astype(np.float32), noise)
-
-    def _make_missing(self, found):
-        """Make entries for all corners that have none, write their slots into `found` in place, and return them."""
-        absent = [np.flatnonzero(slot == self.table.nowhere) for _, slot in found]
-        keys = np.concatenate([runs.key.reshape(-1)[rows] for (runs, _), rows in zip(found, absent, strict=True)])
-        if not len(keys):
-            return keys.astype(np.int32)
-        new, example, inverse = np.unique(keys, return_index=True, return_inverse=True)
-        before = self.table.used
-        made = self.table.insert(new)
-        of_each = np.split(made[inverse.reshape(-1)], np.cumsum([len(rows) for rows in absent])[:-1])
-        for (_, slot), rows, part in zip(found, absent, of_each, strict=True):
-            slot.reshape(-1)[rows] = part
-        if before:
-            self._hand_down(found, absent, example, made)
-        return made
-
-    def _hand_down(self, found, absent, example, made):
-        """New entries begin with what the nearest entry of the next coarser level has, so that a new level is no cut."""
-        cell, level, surface = [], [], []
-        for (runs, _), rows in zip(found, absent, strict=True):
-            corner, run = np.divmod(rows, max(len(runs.first), 1))
-            cell.append(runs.cell[:, run] + CORNERS.T[:, corner])
-            level.append(runs.level[run])
-            surface.append(runs.surface[run])
-        cell = np.concatenate(cell, axis=1)[:, example]
-        level, surface = np.concatenate(level)[example], np.concatenate(surface)[example]
-        parent = self.table.find(lattice_keys(cell >> 1, level + 1, surface))
-        rows = np.flatnonzero((parent != self.table.nowhere) & (made != self.table.nowhere))
-        parent = parent[rows]
-        count = np.minimum(self.table.counts(parent), np.float32(HANDED_DOWN))
-        self.table.put(made[rows], self.table.mean[:, parent], count)
+            make_missing(self.table, places)
+        return places
 
     def holds(self, places: Places) -> bool:
         """Whether the table still has all entries of these places; look them up again where it does not."""
-        return bool((self.table.tag[self._slots(places)] == places.tag).all())
-
-    def _slots(self, places):
-        if places.moves != self.table.moves:
-            places.slot, places.moves = self.table.find_again(places.home, places.tag), self.table.moves
-        return places.slot
+        places.find_again(self.table)
+        return places.whole
 
     def add(self, places: Places, values: np.ndarray) -> None:
         """Add one sample at each place: values (n, channels), or (n,) for one channel."""
@@ -254,76 +157,66 @@ class Cache:
         if values.size != places.count * self.channels:
             raise ValueError(f"{places.count} places take {self.channels} numbers each; these are {values.shape}.")
         values = values.reshape(places.count, self.channels)
-        by_channel = np.ascontiguousarray(values.T)
-        slot = self._slots(places)
+        places.find_again(self.table)
 
         def gather(item):
-            piece, layers, thin = item
-            sums = [np.stack([layer.sums(row[piece]) for row in by_channel]) for layer in layers]
-            spread = (
-                scatter(thin[1], self._sums(slot[thin[1].entry]), by_channel[:, piece][:, ::EVERY]) if thin else None
-            )
-            return sums, spread
+            rows, piece = item
+            sums, total = [], values[rows].T
+            for tier in piece.tiers:
+                total = np.stack([tier.shares.sums(row) for row in total], dtype=np.float32)
+                sums.append(total)
+            if self.measured:
+                finest = piece.tiers[0]
+                known = self.table.sums(finest.slot)
+                piece.noise *= MEMORY
+                piece.noise += scatter(sums[0], finest.share, known, piece.nearest, piece.noise.shape[1])
+            return sums
 
-        items = zip(_pieces(places.count), places.pieces, places.thin, strict=True)
-        sums = np.zeros((self.channels, len(slot)))
-        places.noise[:] *= MEMORY
-        for layers, (parts, spread) in zip(places.pieces, in_threads(gather, items, self.threads), strict=True):
-            for layer, part in zip(layers, parts, strict=True):
-                sums[:, layer.entry] += part
-            if spread is not None:
-                places.noise[:, layers[1].entry] += spread
         self.table.tick()
-        before = self.table.counts(slot)
-        count = before + places.share
-        weight = 1 / np.maximum(count, TINY)
-        mean = self.table.mean[:, slot] * (before * weight) + sums.astype(np.float32) * weight
-        self.table.put(slot, mean, np.minimum(count, self.most))
-
-    def _sums(self, slot):
-        """Sums of each channel and counts, of entries."""
-        count = self.table.counts(slot)
-        return Packed(np.concatenate([self.table.mean[:, slot] * count, count[None]]))
+        items = zip(_pieces(places.count), places.pieces, strict=True)
+        # pieces share entries, so these are kept one after another
+        for piece, sums in zip(places.pieces, in_threads(gather, items, self.threads), strict=True):
+            for tier, part in zip(piece.tiers, sums, strict=True):
+                self.table.merge(tier.slot, part, tier.share, self.most)
 
     def read(self, places: Places, otherwise: np.ndarray | float = 0.0) -> np.ndarray:
         """(n, channels) float32 of the places; where nothing is known `otherwise`, a number or (n, channels)."""
+        total = self._read(places)
+        result = (total[:-1] / np.maximum(total[-1], TINY)).T
+        known = total[-1] > 0
+        if known.all():
+            return np.ascontiguousarray(result)
         otherwise = np.broadcast_to(np.asarray(otherwise, np.float32), (places.count, self.channels))
-        return np.ascontiguousarray(self._read(places, otherwise.T)[0])
+        return np.where(known[:, None], result, otherwise)
 
     def known(self, places: Places) -> np.ndarray:
         """(n,) float32 count of samples that a read at each place rests on, coarse means as what they are worth."""
-        return self._read(places, 0.0)[1]
+        return self._read(places)[-1]
 
-    def _read(self, places, otherwise):
-        sums = self._sums(self._slots(places))
-        trust = self._measured_trust(places, sums) if self.measured else None
+    def _read(self, places):
+        """(channels + 1, n) float32 sums and counts of what is known of each place."""
+        places.find_again(self.table)
+        return np.concatenate(in_threads(self._mix, places.pieces, self.threads), axis=1)
 
-        def mix(layers):
-            total = layers[-1].mixtures(sums.take(layers[-1].entry))
-            # from the coarsest on: what is known by then joins the sums of the next as so many samples
-            for k in range(len(layers) - 2, -1, -1):
-                worth = self.trust[k] if k or trust is None else layers[1].mixtures(trust.take(layers[1].entry))[0]
-                total *= np.minimum(total[-1], worth) / np.maximum(total[-1], TINY)
-                total += layers[k].mixtures(sums.take(layers[k].entry))
-            total[:-1] /= np.maximum(total[-1], TINY)
-            return total
+    def _mix(self, piece):
+        tiers = piece.tiers
+        total = self.table.sums(tiers[-1].slot)
+        # from the coarsest on: what is known by then joins the sums of the next as so many samples
+        for k in range(len(tiers) - 2, -1, -1):
+            own, above = self.table.sums(tiers[k].slot), tiers[k + 1].shares.mixtures(total)
+            worth = self.trust[k]
+            if k == 0 and self.measured:
+                worth = self._measured_trust(piece, own, above)
+            above *= np.minimum(above[-1], worth) / np.maximum(above[-1], TINY)
+            own += above
+            total = own
+        return tiers[0].shares.mixtures(total)
 
-        total = np.concatenate(in_threads(mix, places.pieces, self.threads), axis=1)
-        return np.where(total[-1] > 0, total[:-1], otherwise).T, total[-1]
-
-    def _measured_trust(self, places, sums):
-        noise = (places.noise[0] / np.maximum(places.noise[1], TINY)).astype(np.float32)
-
-        def depart(thin):
-            return departure(*thin, sums, noise)
-
-        total = np.zeros((3, len(places.slot)))
-        for (_, coarse), part in zip(places.thin, in_threads(depart, places.thin, self.threads), strict=True):
-            total[:, coarse.entry] += part
-        trust = np.full((1, len(noise)), self.trust[0], np.float32)
-        rows = np.flatnonzero(total[2] > 0)
-        trust[0, rows] = worth(noise[rows], total[:, rows], self.trust[0])
-        return Packed(trust)
+    def _measured_trust(self, piece, own, above):
+        noise = piece.noise[0] / np.maximum(piece.noise[1], TINY)
+        total = departure(own, piece.tiers[0].share, above, noise, piece.nearest)
+        trust = worth(noise, total, self.trust[0]).astype(np.float32)
+        return piece.tiers[1].shares.mixtures(trust[None])[0]
 
     def age(self, factor: float = 0.9) -> None:
         """Every count times `factor`: what is known weighs less beside what comes."""

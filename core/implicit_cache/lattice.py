@@ -1,8 +1,8 @@
 """Samples among lattice points: each belongs to the eight corners of its cell, by trilinear weights.
 
 Splitting a sample over its corners, in place of giving it to one at random, takes the grid's steps out of the picture,
-and reading by the same weights takes them out once more. Pixels that follow one another in one cell share its corners:
-these are looked up once a run.
+and reading by the same weights takes them out once more. Lattice points themselves lie among those of a coarser lattice
+in the same way.
 """
 
 from __future__ import annotations
@@ -11,28 +11,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .keys import CORNER_STEPS, lattice_keys
+from .keys import CORNER_STEPS, CORNERS, lattice_keys
 from .levels import cell_size
+from .shares import Shares
+
+_SCATTER = 0x9E3779B97F4A7C15
 
 
-class Runs(NamedTuple):
-    """A piece of the samples, n in R runs of one cell each.
+class Points(NamedTuple):
+    """m lattice points: (3, m) int64 cells in whose middle they lie, (m,) int32 levels, (m,) uint64 surfaces and keys."""
 
-    weight: (8, n) float32, sums 1. first: (R,) int64, where each run begins; run: (n,) int64, the run of each sample.
-    key: (8, R) uint64 of the corners. cell: (3, R) int64 of the first one; level: (R,) int32; surface: (R,) uint64.
-    """
-
-    weight: np.ndarray
-    first: np.ndarray
-    run: np.ndarray
-    key: np.ndarray
     cell: np.ndarray
     level: np.ndarray
     surface: np.ndarray
+    key: np.ndarray
+
+    def take(self, rows: np.ndarray) -> Points:
+        """Of these points."""
+        return Points(self.cell.take(rows, axis=1), *(part.take(rows) for part in self[1:]))
 
 
-def corners(position: np.ndarray, level: np.ndarray, surface: np.ndarray) -> Runs:
-    """Corners of samples at positions (3, n), m, at levels (n,) int32, on surfaces (n,) uint64.
+def share_samples(position: np.ndarray, level: np.ndarray, surface: np.ndarray) -> tuple[Shares, Points]:
+    """Samples at positions (3, n), m, at levels (n,) int32, on surfaces (n,) uint64, and the points that they belong to.
 
     Lattice point i lies in the middle of cell i, so that the lattices of no two levels share points.
     """
@@ -41,20 +41,65 @@ def corners(position: np.ndarray, level: np.ndarray, surface: np.ndarray) -> Run
     place -= low
     cell = low.astype(np.int64)
     key = lattice_keys(cell, level, surface)
+    # runs along scanlines first, which are cheaper to tell than what is alike in other lines
     starts = np.empty(len(key), bool)
     starts[:1] = True
     np.not_equal(key[1:], key[:-1], out=starts[1:])
     first = np.flatnonzero(starts)
-    run = np.cumsum(starts) - 1
-    return Runs(
-        trilinear(place.astype(np.float32)),
-        first,
-        run,
-        key[first] + CORNER_STEPS[:, None],
-        cell[:, first],
-        level[first],
-        surface[first],
-    )
+    example, which = distinct(key.take(first))
+    cells = Points(cell, level, surface, key).take(first.take(example))
+    return _shares(place.astype(np.float32), cells, which.take(np.cumsum(starts) - 1))
+
+
+def share_points(points: Points, octaves: int) -> tuple[Shares, Points]:
+    """Lattice points among those of a lattice that is coarser by so many octaves."""
+    wide = 1 << octaves
+    low = (points.cell - (wide >> 1)) >> octaves
+    place = ((points.cell - (low << octaves)).astype(np.float32) + np.float32(0.5)) / wide - np.float32(0.5)
+    level = points.level + np.int32(octaves)
+    cells = Points(low, level, points.surface, lattice_keys(low, level, points.surface))
+    example, which = distinct(cells.key)
+    return _shares(place, cells.take(example), which)
+
+
+def _shares(place, cells, which):
+    """Shares of places (3, n) in [0, 1] of cells, each in one of them, and the cells' corners, each once."""
+    keys = (cells.key + CORNER_STEPS[:, None]).reshape(-1)
+    example, number = distinct(keys)
+    corner, row = np.divmod(example, max(len(cells.key), 1))
+    points = cells.take(row)
+    points = points._replace(cell=points.cell + CORNERS.T.take(corner, axis=1), key=keys.take(example))
+    beyond = place > np.float32(0.5)
+    nearest = beyond[0] * 4 + beyond[1] * 2 + beyond[2]
+    return Shares(trilinear(place), number.reshape(8, -1).take(which, axis=1), nearest, len(example)), points
+
+
+def distinct(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (k,) of (n,) uint64 keys, one for each different key, and (n,) which of the k each is. By hashing: no sort."""
+    count = len(keys)
+    rows = np.arange(count, dtype=np.int32)
+    bits = max(count.bit_length(), 4)
+    last = np.empty(1 << bits, np.int32)
+    shift = np.uint64(64 - bits)
+    stands, open_, scatter = rows, rows, _SCATTER
+    while len(open_):
+        # the last key at a place stands for all that are equal to it; other keys there look for another place
+        place = keys * np.uint64(scatter)
+        place >>= shift
+        place = place.view(np.int64)
+        last[place] = rows[: len(open_)]
+        stand = last.take(place)
+        more = np.flatnonzero(keys.take(stand) != keys)
+        if stands is rows:
+            stands = stand
+        else:
+            stands[open_] = open_.take(stand)
+        # those that found another key at their place will be put right
+        open_, keys, scatter = open_.take(more), keys.take(more), scatter * _SCATTER & 0xFFFFFFFFFFFFFFFF
+    chosen = np.flatnonzero(stands == rows)
+    number = np.empty(count, np.int64)
+    number[chosen] = np.arange(len(chosen))
+    return chosen, number.take(stands)
 
 
 def trilinear(place: np.ndarray) -> np.ndarray:

@@ -30,6 +30,8 @@ CLOCK, TICKS = 256, 4
 SHIFT = 64
 """Slots between an entry and where its search begins are fewer: the low 6 bits."""
 
+TINY = np.float32(1e-12)
+
 
 class Table:
     """Means and counts by 64-bit key. channels: numbers of a mean; slots: how many, a power of two.
@@ -43,8 +45,12 @@ class Table:
         self.channels, self.slots, self.used, self.now, self.moves = channels, slots, 0, 0, 0
         # one more at the end, for what finds no place: nothing is ever kept there
         self.tag = np.zeros(slots + 1, np.uint32)
-        self.mean = np.zeros((channels, slots + 1), np.float32)
-        self.word = np.zeros(slots + 1, np.uint32)
+        # word and means of an entry lie together, so that one fetch gets them
+        self._rows = np.zeros((slots + 1, 1 + channels), np.uint32)
+        self.word = self._rows[:, 0]
+        self.mean = self._rows[:, 1:].view(np.float32).T
+        # whole rows as one value each: numpy writes these several times as fast
+        self._entries = _whole(self._rows)
 
     @property
     def nowhere(self) -> int:
@@ -66,6 +72,10 @@ class Table:
         slot = find(self.tag[:-1], *self._homes(keys.reshape(-1)))
         slot[slot < 0] = self.nowhere
         return slot.reshape(keys.shape)
+
+    def has_room(self, count: int) -> bool:
+        """Whether so many more entries can be made and none forgotten."""
+        return self.used + count <= int(FULL * self.slots)
 
     def insert(self, keys: np.ndarray) -> np.ndarray:
         """(n,) int32 slots for (n,) different keys that the table does not hold; `nowhere` for those that find none.
@@ -118,12 +128,6 @@ class Table:
         away = (self.word[slots] & np.uint32(SHIFT - 1)).astype(np.int32)
         return (slots - away & self.slots - 1).astype(np.int32)
 
-    def find_again(self, home: np.ndarray, tag: np.ndarray) -> np.ndarray:
-        """(n,) int64 slots of entries known by their home and tag, `nowhere` for those that are gone."""
-        slot = find(self.tag[:-1], home, tag).astype(np.int64)
-        # nowhere has no tag
-        return np.where((slot < 0) | (tag == EMPTY), self.nowhere, slot)
-
     def _stamp(self):
         return self.now // TICKS % CLOCK
 
@@ -154,6 +158,34 @@ class Table:
         self._write(slots, np.maximum(units, count > 0), self._stamp())
         self.word[self.nowhere] = 0
 
+    def merge(self, slots: np.ndarray, sums: np.ndarray, share: np.ndarray, most: float) -> None:
+        """Add samples to the entries at different slots (n,): their sums (channels, n), and (n,) of their weights. No entry
+        counts more than `most`."""
+        rows = self._rows.take(slots, axis=0)
+        word, means = rows[:, 0], rows[:, 1:].view(np.float32).T
+        before = _count_of(word)
+        count = before + share
+        weight = 1 / np.maximum(count, TINY)
+        before *= weight
+        for mean, own in zip(means, sums, strict=True):
+            mean *= before
+            mean += own * weight
+        count *= np.float32(1 / STEP)
+        np.minimum(np.rint(count, out=count), np.float32(min(most, MOST) / STEP), out=count)
+        word &= np.uint32(SHIFT - 1)
+        word |= np.maximum(count.astype(np.uint32), share > 0) << np.uint32(14)
+        word |= np.uint32(self._stamp() << 6)
+        self._entries[slots] = _whole(rows)
+        self.word[self.nowhere] = 0
+
+    def sums(self, slots: np.ndarray) -> np.ndarray:
+        """(channels + 1, n) float32 mean times count of each channel, and counts, of (n,) entries."""
+        rows = self._rows.take(slots, axis=0)
+        result = np.empty((1 + self.channels, len(slots)), np.float32)
+        result[-1] = _count_of(rows[:, 0])
+        np.multiply(rows[:, 1:].view(np.float32).T, result[-1], out=result[:-1])
+        return result
+
     def _write(self, slots, units, stamp):
         away = self.word[slots] & np.uint32(SHIFT - 1)
         self.word[slots] = units << np.uint32(14) | np.uint32(stamp << 6) | away
@@ -169,3 +201,13 @@ class Table:
         units = (self.word >> np.uint32(14)).astype(np.float32) * np.float32(factor)
         self.word &= np.uint32((1 << 14) - 1)
         self.word |= units.astype(np.uint32) << np.uint32(14)
+
+
+def _count_of(word):
+    count = (word >> np.uint32(14)).astype(np.float32)
+    count *= np.float32(STEP)
+    return count
+
+
+def _whole(rows):
+    return rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1])))[:, 0]

@@ -2,19 +2,17 @@
 
 Of two estimates of a value, one noisy and one smoothed, the best mixture weighs each by one over its squared error. The
 noisy one's is σ² / c with c samples, the smoothed one's the square b² of what smoothing takes away; so the smoothed mean
-is worth σ² / b² samples. Both are measured in each coarse cell from some of the pixels: σ² from how frames scatter about
-the coarse mean, b² from how far fine means lie from it beyond what their noise explains. This is the thesis's local
-complexity (section 6.2), in world space and with its noise known.
+is worth σ² / b² samples. Both are measured around each coarse entry: σ² from how a frame's samples differ from what fine
+entries knew, b² from how far fine means lie from the coarse one beyond what their noise explains. This is the thesis's
+local complexity (section 6.2), in world space and with its noise known.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from .layers import Layer, Packed
-
-EVERY = 4
-"""One in so many samples tells of its surroundings."""
+SPREAD = 0.3
+"""Variance of an entry's mean that counts one sample, over that of a sample: it has parts of several samples."""
 
 GAIN = 8.0
 """Samples that a read by trilinear weights averages over the count that it shows: it spans several corners."""
@@ -25,45 +23,59 @@ MEMORY = 0.95
 LEAST, MOST = 4.0, 500.0
 """Bounds of trust."""
 
-LITTLE = np.float32(0.05)
+LITTLE = 0.05
 """Fewer fine samples tell nothing."""
 
-TINY = np.float32(1e-12)
+TINY = 1e-12
 
 
-def scatter(coarse: Layer, sums: Packed, values: np.ndarray) -> np.ndarray:
-    """(2, k) sums, by coarse entry, over samples of their squared difference from the coarse mean, a mean over channels,
-    and of 1.
+def scatter(sums: np.ndarray, share: np.ndarray, known: np.ndarray, nearest: np.ndarray, entries: int) -> np.ndarray:
+    """(2, entries) sums, by coarse entry, that tell how a frame's samples differ from what was known: of squared
+    differences, a mean over channels, and of what these would be for samples of variance 1.
 
-    coarse: of some samples. sums: rows of S = mean × count for each channel, and of counts, of its entries. values:
-    (channels, n) float32 of the samples.
+    sums: (channels, m) of the frame's samples at fine entries, and share: (m,) of their weights. known: rows of
+    S = mean × count for each channel, and of counts, before, (channels + 1, m). nearest: (m,) their coarse entry.
     """
-    *total, count = coarse.mixtures(sums)
-    squared = sum((s / np.maximum(count, TINY) - v) ** 2 for s, v in zip(total, values, strict=True)) / len(values)
-    known = (count > 0).astype(np.float32)
-    return np.stack([coarse.sums(squared * known), coarse.sums(known)])
+    count = np.maximum(known[-1], 1)
+    told = known[-1] > 1
+    ratio = share / count
+    squared = np.zeros(len(share), np.float32)
+    for own, before in zip(sums, known[:-1], strict=True):
+        squared += (own - ratio * before) ** 2
+    squared *= told / np.float32(len(sums))
+    wanted = SPREAD * (share + share * ratio) * told
+    return np.stack([np.bincount(nearest, part, minlength=entries) for part in (squared, wanted)])
 
 
-def departure(fine: Layer, coarse: Layer, sums: Packed, noise: np.ndarray) -> np.ndarray:
-    """(3, k) sums, by coarse entry, over samples of the squared difference between fine and coarse means, of the part
-    that the fine one's noise explains, and of 1. sums: as in `scatter`, of all entries; noise: (entries,) float32
-    variance σ² of a sample, at coarse entries."""
-    *near, count = fine.mixtures(sums.take(fine.entry))
-    *far, there = coarse.mixtures(sums.take(coarse.entry))
-    known = ((count > LITTLE) & (there > 0)).astype(np.float32)
-    count, there = np.maximum(count, LITTLE), np.maximum(there, TINY)
-    squared = sum((a / count - b / there) ** 2 for a, b in zip(near, far, strict=True)) / len(near)
-    (variance,) = coarse.mixtures(Packed(noise[None]).take(coarse.entry))
-    explained = variance / (count * np.float32(GAIN))
-    return np.stack([coarse.sums(term * known) for term in (squared, explained, np.float32(1))])
+def departure(
+    sums: np.ndarray, share: np.ndarray, above: np.ndarray, noise: np.ndarray, nearest: np.ndarray
+) -> np.ndarray:
+    """(4, entries) sums, by coarse entry, of the squared difference between fine and coarse means, of the part that the
+    fine one's noise explains, of weights, and of their squares.
+
+    sums, above: rows of S = mean × count for each channel, and of counts, of fine entries, and of the coarse mixture
+    there, (channels + 1, m); share: (m,) weights. noise: (entries,) variance of a sample; nearest: (m,) coarse entries.
+    """
+    count, there = sums[-1], above[-1]
+    weight = share * ((count > LITTLE) & (there > 0))
+    count, there = np.maximum(count, np.float32(LITTLE)), np.maximum(there, np.float32(TINY))
+    squared = np.zeros(len(share), np.float32)
+    for own, coarse in zip(sums[:-1], above[:-1], strict=True):
+        squared += (own / count - coarse / there) ** 2
+    squared /= np.float32(len(sums) - 1)
+    explained = noise.take(nearest) * SPREAD / count
+    parts = (squared * weight, explained * weight, weight, weight * weight)
+    return np.stack([np.bincount(nearest, part, minlength=len(noise)) for part in parts])
 
 
 def worth(noise: np.ndarray, departures: np.ndarray, usual: float) -> np.ndarray:
-    """(entries,) float32 trust in coarse entries: σ² / b², and `usual` where noise hides b² or nothing is known."""
-    squared, explained, samples = (d / np.maximum(departures[2], TINY) for d in departures)
-    prior = noise / np.float32(GAIN * usual)
-    # the noise's own spread is about its size, and is compared with what would change the usual trust
-    clear = 1 / (1 + (explained / np.maximum(prior, TINY)) ** 2) * (samples > 0)
+    """(entries,) trust in coarse entries: σ² / b², and `usual` where noise hides b² or nothing is known."""
+    squared, explained, weight, square = departures
+    squared, explained = squared / np.maximum(weight, TINY), explained / np.maximum(weight, TINY)
+    prior = noise / (GAIN * usual)
+    # the noise's own spread, of so many squares, is compared with what would change the usual trust
+    several = weight**2 / np.maximum(square, TINY)
+    clear = 1 / (1 + 2 / np.maximum(several, 1) * (explained / np.maximum(prior, TINY)) ** 2) * (weight > 0)
     bias = clear * np.maximum(squared - explained, 0) + (1 - clear) * prior
-    trust = noise / np.maximum(np.float32(GAIN) * bias, TINY)
-    return np.where(noise > 0, np.clip(trust, LEAST, MOST), usual).astype(np.float32)
+    trust = noise / np.maximum(GAIN * bias, TINY)
+    return np.where(noise > 0, np.clip(trust, LEAST, MOST), usual)

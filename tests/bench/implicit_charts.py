@@ -16,10 +16,10 @@ COLOURS = {"ours": "#c8442d", "per pixel": "0.6"}
 
 
 def draw(table: dict, growth: dict, occupancy: dict, spectra: dict) -> None:
-    """Table 1, SSIM over frames by level, entries by level and the errors' spectra."""
+    """Table 1, SSIM and FLIP, SSIM over frames by level, entries by level and the errors' spectra."""
     figure, grid = pyplot.subplots(2, 3, figsize=(15, 8), layout="constrained")
     _bars(grid[0, 0], table, "ssim", "SSIM, 64 frames of one ray")
-    _bars(grid[1, 0], table, "seen", "error as seen, RMS", legend=False)
+    _bars(grid[1, 0], table, "flip", "FLIP, 64 frames of one ray", legend=False)
     for axes, (name, lines) in zip(grid[0, 1:], growth.items(), strict=True):
         for key, points in lines.items():
             style = {"color": COLOURS["ours"], "linewidth": 2.2} if key == "ours" else {"linewidth": 1.2}

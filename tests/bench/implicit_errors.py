@@ -7,17 +7,20 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from lightpanes.core.metrics import psnr, ssim
 
+from .flip import flip
+
 PIXELS_A_DEGREE = 40.0
 """Of vision: a picture of 480 pixels spans 12°, a quarter of a screen at arm's length."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """mse, psnr (dB), ssim as the thesis has them; seen: RMS error as an eye weighs its frequencies."""
+    """mse, psnr (dB), ssim as the thesis has them; flip: see flip.py; seen: RMS error as an eye weighs its frequencies."""
 
     mse: float
     psnr: float
     ssim: float
+    flip: float
     seen: float
 
     def as_dict(self) -> dict[str, float]:
@@ -27,7 +30,9 @@ class Score:
 def score(image: np.ndarray, reference: np.ndarray) -> Score:
     """Of two (H, W) pictures in [0, 1]."""
     error = image.astype(np.float64) - reference
-    return Score(float((error**2).mean()), psnr(image, reference), ssim(image, reference), seen(error))
+    return Score(
+        float((error**2).mean()), psnr(image, reference), ssim(image, reference), flip(image, reference), seen(error)
+    )
 
 
 def contrast_sensitivity(frequency: np.ndarray) -> np.ndarray:

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from lightpanes.core.files import replacing
+from lightpanes.core.preview.camera import Camera
 from lightpanes.core.rays import Bvh
 
 from . import harness, implicit_views
 from .implicit_scenes import STAGES, Stage
-from .implicit_views import HEIGHT, WIDTH, View, axes, look, openness, reference
+from .implicit_views import HEIGHT, WIDTH, View, camera, look, openness, reference
 
 FRAMES, MEASURED = 32, 5
 STEP, TURN = 0.01, 0.25
@@ -35,28 +36,28 @@ class Flight:
 
     def project(self, position: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
         """Row and column, in pixels between their middles, of world positions (n, 3) in the picture of that number."""
-        eye, target = camera(self.stage, number)
-        ahead, right, up = axes(eye, target)
-        away = position.astype(np.float64) - eye
-        depth = away @ ahead
-        pixel = self.stage.width / WIDTH
-        return -(away @ up) / depth / pixel + HEIGHT / 2 - 0.5, (away @ right) / depth / pixel + WIDTH / 2 - 0.5
+        through = camera_at(self.stage, number)
+        onto = through.projection @ through.view
+        place = position @ onto[:, :3].T + onto[:, 3]
+        across, up = place[:, 0] / place[:, 3], place[:, 1] / place[:, 3]
+        return (1 - up) * HEIGHT / 2 - 0.5, (1 + across) * WIDTH / 2 - 0.5
 
 
-def camera(stage: Stage, number: int) -> tuple[np.ndarray, np.ndarray]:
-    """Eye and target of a frame."""
-    ahead, right, _ = axes(stage.eye, stage.target)
+def camera_at(stage: Stage, number: int) -> Camera:
+    """That of a frame."""
+    right, _, back = camera(stage).view[:3, :3]
+    ahead = -back
     away = np.linalg.norm(np.subtract(stage.target, stage.eye))
     angle = np.radians(TURN * number)
     eye = np.array(stage.eye) + STEP * number * right
-    return eye, eye + away * (np.cos(angle) * ahead - np.sin(angle) * right)
+    return camera(stage, eye, eye + away * (np.cos(angle) * ahead - np.sin(angle) * right))
 
 
 def fly(name: str) -> Flight:
     """Over a stage; references are kept in out/bench."""
     stage = STAGES[name]()
     bvh = Bvh(stage.corners)
-    views = [look(stage, bvh, *camera(stage, k)) for k in range(FRAMES)]
+    views = [look(stage, bvh, camera_at(stage, k)) for k in range(FRAMES)]
     frames = [openness(view, bvh, stage.reach, k) for k, view in enumerate(views)]
     path = harness.OUT / "implicit" / f"{name}-flight-{implicit_views.mark(stage)}-{FRAMES}-{MEASURED}-{RAYS}.npz"
     if not path.exists():

@@ -3,6 +3,7 @@ with foliage, a curved statue and a hairball. Triangles are (n, 3, 3) float32 co
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -22,6 +23,19 @@ class Stage:
     target: tuple[float, float, float]
     width: float
     reach: float
+
+    @functools.cached_property
+    def normals(self) -> np.ndarray:
+        """(T, 3) float32 unit normals of the triangles."""
+        a, b, c = self.corners.transpose(1, 0, 2)
+        normal = np.cross(b - a, c - a)
+        return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+    def facing(self, triangle: np.ndarray, ways: np.ndarray) -> np.ndarray:
+        """(n, 3) normals of triangles, on the side that rays come from."""
+        normal = self.normals[triangle]
+        normal[np.einsum("nd,nd->n", normal, ways) > 0] *= -1
+        return normal
 
 
 def _stage(shapes, eye, target, width, reach) -> Stage:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from lightpanes.core.files import replacing
+from lightpanes.core.preview.camera import Camera
 from lightpanes.core.rays import Bvh, chunks
 from lightpanes.core.sampling import PLASTIC, cosine_hemisphere, frame, hammersley_points, hash_uniform
 from lightpanes.core.threads import in_threads
@@ -17,6 +19,9 @@ from .implicit_scenes import STAGES, Stage
 WIDTH, HEIGHT = 480, 270
 REFERENCE = 2048
 """Rays a pixel of the reference, as in the thesis."""
+
+PIECE = 1 << 14
+"""Pixels that are traced together."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +36,16 @@ class View:
     hit: np.ndarray
     pixel: np.ndarray
 
+    @functools.cached_property
+    def sides(self) -> tuple[np.ndarray, np.ndarray]:
+        """(n, 3) float32 across and along surfaces."""
+        return tuple(
+            np.concatenate(part) for part in zip(*in_threads(self._sides, chunks(len(self.normal), PIECE)), strict=True)
+        )
+
+    def _sides(self, part):
+        return frame(self.normal[part])
+
     def image(self, value: np.ndarray) -> np.ndarray:
         """(HEIGHT, WIDTH) float32; the sky is open, 1."""
         result = np.ones(len(self.hit), np.float32)
@@ -38,54 +53,94 @@ class View:
         return result.reshape(HEIGHT, WIDTH)
 
 
-def axes(eye, target) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ahead, right and up of a camera."""
-    ahead = np.subtract(target, eye, dtype=np.float64)
-    ahead /= np.linalg.norm(ahead)
+def camera(stage: Stage, eye=None, target=None) -> Camera:
+    """A stage's; at another eye, towards another target, where these are given."""
+    eye, target = (
+        np.asarray(own if other is None else other, np.float64)
+        for own, other in ((stage.eye, eye), (stage.target, target))
+    )
+    matrix = np.eye(4)
+    ahead = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(ahead, (0, 0, 1))
     right /= np.linalg.norm(right)
-    return ahead, right, np.cross(right, ahead)
+    matrix[:3] = np.stack([right, np.cross(right, ahead), -ahead, eye], axis=1)
+    return Camera.from_lens(matrix, WIDTH, HEIGHT, lens=36 / stage.width, sensor=(36, 24), clip=(0.01, 100))
 
 
-def look(stage: Stage, bvh: Bvh, eye=None, target=None) -> View:
-    """Through the middles of pixels; from another eye to another target where these are given."""
-    eye = stage.eye if eye is None else eye
-    ahead, right, up = axes(eye, stage.target if target is None else target)
-    pixel_width = stage.width / WIDTH
-    across = (np.arange(WIDTH) + 0.5 - WIDTH / 2) * pixel_width
-    down = (np.arange(HEIGHT) + 0.5 - HEIGHT / 2) * pixel_width
-    directions = ahead + across[None, :, None] * right - down[:, None, None] * up
-    directions = directions.reshape(-1, 3).astype(np.float32)
-    origins = np.broadcast_to(np.array(eye, np.float32), directions.shape).copy()
-    found = in_threads(lambda part: bvh.hits(origins[part], directions[part]), chunks(len(directions)))
-    triangle = np.concatenate([hits.triangle for hits in found])
-    depth = np.concatenate([hits.distance for hits in found])
-    hit = triangle >= 0
-    a, b, c = stage.corners[triangle[hit]].transpose(1, 0, 2)
-    normal = np.cross(b - a, c - a)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    normal[np.einsum("nd,nd->n", normal, directions[hit]) > 0] *= -1
-    position = origins[hit] + depth[hit, None] * directions[hit] + 1e-4 * normal
-    return View(
-        position.astype(np.float32),
-        normal.astype(np.float32),
-        stage.object_id[triangle[hit]],
-        (depth[hit] * pixel_width).astype(np.float32),
-        hit,
-        np.flatnonzero(hit),
-    )
+def look(stage: Stage, bvh: Bvh, through: Camera) -> View:
+    """Through the middles of pixels."""
+    # a camera's rows go up, a picture's down
+    origins, ways = (part.reshape(HEIGHT, WIDTH, 3)[::-1].reshape(-1, 3) for part in through.rays()[:2])
+
+    def trace(part):
+        origin, way = origins[part], ways[part]
+        hits = bvh.hits(origin, way)
+        rows = np.flatnonzero(hits.triangle >= 0)
+        triangle, way = hits.triangle[rows], way[rows]
+        normal = stage.facing(triangle, way)
+        place = origin[rows] + hits.distance[rows, None] * way
+        footprint = through.footprint(through.depth(place))
+        return place + np.float32(1e-4) * normal, normal, stage.object_id[triangle], footprint, hits.triangle >= 0
+
+    parts = zip(*in_threads(trace, chunks(len(ways), PIECE)), strict=True)
+    *made, hit = (np.concatenate(columns) for columns in parts)
+    return View(*made, hit, np.flatnonzero(hit))
+
+
+@functools.cache
+def _shifts() -> np.ndarray:
+    """(HEIGHT · WIDTH, 2) float32, where each pixel's sequence begins."""
+    pixel = np.arange(HEIGHT * WIDTH)
+    return np.stack([hash_uniform(pixel, d, 1) for d in (0, 1)], axis=1)
+
+
+def _cosine_rays(view, part, frame_number):
+    """(n, 3) one a pixel: each takes the R2 sequence, shifted."""
+    points = _shifts()[view.pixel[part]]
+    points += (np.array(PLASTIC) * (frame_number + 1) % 1).astype(np.float32)
+    points -= np.floor(points)
+    return _around(view.normal[part], [side[part] for side in view.sides], points)
+
+
+def _around(normal, sides, points):
+    ways = normal.copy()
+    local = cosine_hemisphere(points)
+    ways *= local[:, 2:]
+    for k, side in enumerate(sides):
+        ways += local[:, k : k + 1] * side
+    return ways
 
 
 def openness(view: View, bvh: Bvh, reach: float, frame_number: int) -> np.ndarray:
-    """(n,) float32, 0 or 1, of one cosine ray a pixel: each pixel takes the R2 sequence, shifted."""
-    shift = np.stack([hash_uniform(view.pixel, d, 1) for d in (0, 1)], axis=1)
-    points = shift + np.array(PLASTIC) * (frame_number + 1)
-    points = (points - np.floor(points)).astype(np.float32)
+    """(n,) float32, 0 or 1, of one cosine ray a pixel."""
 
     def trace(part):
-        return ~_blocked(view, bvh, part, points[part], reach)
+        return ~bvh.occluded(view.position[part], _cosine_rays(view, part, frame_number) * np.float32(reach))
 
-    return np.concatenate(in_threads(trace, chunks(len(view.position)))).astype(np.float32)
+    return np.concatenate(in_threads(trace, chunks(len(view.position), PIECE))).astype(np.float32)
+
+
+def one_bounce(view: View, bvh: Bvh, stage: Stage, lamp, frame_number: int) -> np.ndarray:
+    """(n, 3) float32 light of a point lamp of π W/m² at 1 m that one cosine ray a pixel finds on coloured surfaces."""
+    lamp = np.asarray(lamp, np.float32)
+    colours = 0.2 + 0.6 * np.stack([hash_uniform(np.arange(int(stage.object_id.max()) + 1), d, 3) for d in range(3)], 1)
+
+    def trace(part):
+        ways = _cosine_rays(view, part, frame_number)
+        hits = bvh.hits(view.position[part], ways)
+        light = np.zeros((len(ways), 3), np.float32)
+        rows = np.flatnonzero(hits.triangle >= 0)
+        triangle, ways = hits.triangle[rows], ways[rows]
+        normal = stage.facing(triangle, ways)
+        place = view.position[part][rows] + hits.distance[rows, None] * ways + np.float32(1e-4) * normal
+        away = lamp - place
+        squared = np.einsum("nd,nd->n", away, away)
+        received = np.maximum(np.einsum("nd,nd->n", normal, away), 0) / (squared * np.sqrt(squared))
+        received *= ~bvh.occluded(place, away)
+        light[rows] = received[:, None] * colours[stage.object_id[triangle]]
+        return light
+
+    return np.concatenate(in_threads(trace, chunks(len(view.position), PIECE)))
 
 
 def reference(view: View, bvh: Bvh, reach: float, rays: int = REFERENCE) -> np.ndarray:
@@ -104,10 +159,9 @@ def reference(view: View, bvh: Bvh, reach: float, rays: int = REFERENCE) -> np.n
 
 
 def _blocked(view, bvh, part, points, reach):
-    across, along = frame(view.normal[part])
-    local = cosine_hemisphere(points)
-    directions = local[:, :1] * across + local[:, 1:2] * along + local[:, 2:] * view.normal[part]
-    return bvh.occluded(view.position[part], directions * np.float32(reach))
+    return bvh.occluded(
+        view.position[part], _around(view.normal[part], [side[part] for side in view.sides], points) * np.float32(reach)
+    )
 
 
 @dataclass(frozen=True)
@@ -138,10 +192,10 @@ def footage(name: str, frames: int = 64) -> Footage:
             view = View(*(kept[key] for key in View.__dataclass_fields__))
             return Footage(view, np.unpackbits(kept["frames"], axis=1, count=len(view.pixel)) > 0, kept["reference"])
     bvh = Bvh(stage.corners)
-    view = look(stage, bvh)
+    view = look(stage, bvh, camera(stage))
     seen = np.stack([openness(view, bvh, stage.reach, k) > 0 for k in range(frames)])
     made = Footage(view, seen, reference(view, bvh, stage.reach))
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as part:
-        np.savez(part, **view.__dict__, frames=np.packbits(seen, axis=1), reference=made.reference)
+        np.savez(part, **asdict(view), frames=np.packbits(seen, axis=1), reference=made.reference)
     return made

@@ -150,7 +150,7 @@ def test_a_table_too_small_for_the_picture():
 
 
 def test_a_full_table_forgets_where_the_camera_was():
-    cache = Cache(slots=1 << 14)
+    cache = Cache(slots=1 << 13)
     for k in range(12):
         position, normal = floor(origin=(0.6 * k, 0), side=48)
         found = settle(cache, position, normal, np.full(len(position), 0.5), 4)

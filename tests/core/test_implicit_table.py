@@ -126,7 +126,7 @@ def test_forgetting_again_and_again_keeps_what_is_left_in_order():
     assert table.used == np.count_nonzero(table.tag)
     # every entry is found from its home, and by its key, and is its own
     held = np.flatnonzero(table.tag[:-1])
-    assert np.array_equal(table.find_again(table.homes(held), table.tag[held]), held)
+    assert np.array_equal(find(table.tag[:-1], table.homes(held), table.tag[held]), held)
     slot = table.find(keys_of(range(149 * 300, 150 * 300)))
     assert (table.mean[0, slot] == 149).all() and (table.counts(slot) == 2).all()
     every = table.find(keys_of(range(150 * 300)))
