@@ -12,6 +12,7 @@ from ..rays import LAYERS, Bvh, Tracer
 from ..scene import Scene
 from ..surface.samples import unit
 from ..vectors import around, dot, join, split
+from .lobes import OpticsTable
 from .looks import Looks, Texture, corner_values
 
 SMOOTH = 0.9999
@@ -47,7 +48,10 @@ class Surfaces:
         self.offset = np.float32(self.tracer.offset)
         self.transmission = self.tracer.transmission
         self.see_through = self.transmission.see_through
-        self._clear = not self.see_through.any()
+        self.any_see_through = bool(self.see_through.any())
+        self.optics = OpticsTable(scene.materials)
+        self.several = self.see_through | self.optics.shiny[scene.triangle_material]
+        self.any_several = bool(self.several.any())
         owner = scene.triangle_object
         self._blocking: Tracer | None = None
         self._made: dict[bytes, tuple[Bvh, np.ndarray | None]] = {}
@@ -77,7 +81,7 @@ class Surfaces:
     @property
     def is_plain(self) -> bool:
         """Whether a camera's ray ends at the first surface that it meets, whichever that is."""
-        return self._clear and all(material.optics is None for material in self.scene.materials)
+        return not self.any_see_through and all(material.optics is None for material in self.scene.materials)
 
     def land(self, part, origins, directions, chance: np.ndarray | None = None, reach=None) -> Places:
         """First surfaces that rays meet; what is see-through they pass with the chance that it lets light pass.
@@ -93,7 +97,7 @@ class Surfaces:
         landed = triangle >= 0
         rows, missed = np.flatnonzero(landed), np.flatnonzero(~landed)
         triangle, u, v, distance = triangle[rows], hits.u[rows], hits.v[rows], hits.distance[rows]
-        if self._clear or chance is None:
+        if not self.any_see_through or chance is None:
             return Places(rows, triangle, u, v, distance, None, missed, None)
         return self._pass_on(part, origins, directions, chance, reach, (rows, triangle, u, v, distance, missed))
 
