@@ -8,7 +8,7 @@ import numpy as np
 
 from ..lights import sky_radiance
 from ..rays import chunks
-from ..sampling import hash_uniform
+from ..sampling import BELOW_ONE, GOLDEN, PLASTIC, hash_uniform
 from ..scene import Sky
 from ..threads import in_threads
 from ..vectors import scaled
@@ -59,23 +59,24 @@ def make_gbuffer(
     camera: Camera,
     sky: Sky | None,
     offset: tuple[float, float],
+    number: int,
     seed: int,
     transparent: bool = False,
 ) -> GBuffer:
     """Trace the camera's rays through the same place of each pixel.
 
-    offset: that place, (0.5, 0.5) its middle. seed: of the choices at surfaces that do several things with light.
+    offset: that place, (0.5, 0.5) its middle. number: of the frame; at surfaces that do several things with light, frames take turns.
     transparent: the sky is not seen by the camera, only by what reflects it.
     """
     width, height = camera.size
     parts = in_threads(
-        lambda rows: _trace(surfaces, camera, sky, offset, rows, seed, transparent),
+        lambda rows: _trace(surfaces, camera, sky, offset, rows, number, seed, transparent),
         chunks(height, max(1, CHUNK // max(width, 1))),
     )
     return GBuffer(*in_threads(np.concatenate, zip(*parts, strict=True)))
 
 
-def _trace(surfaces, camera, sky, offset, rows, seed, transparent):
+def _trace(surfaces, camera, sky, offset, rows, number, seed, transparent):
     """The fields of a GBuffer for some rows of pixels."""
     start, way, far = camera.rays(offset, rows)
     first = rows.start * camera.size[0]
@@ -115,10 +116,9 @@ def _trace(surfaces, camera, sky, offset, rows, seed, transparent):
         reflectance = albedo if weight is None else albedo * weight
         several = np.flatnonzero(surfaces.several[triangle]) if surfaces.any_several else ()
         if len(several):
-            chance = hash_uniform(pixel[who[several]], 7 * turn, seed)
+            chance, *facet = _chances(pixel[who[several]], turn, number, seed)
             lobe, factor, onward, swallowed = choose(
-                surfaces, several, triangle, u, v, albedo, way, normal, chance,
-                hash_uniform(pixel[who[several]], 7 * turn + 1, seed), hash_uniform(pixel[who[several]], 7 * turn + 2, seed),
+                surfaces, several, triangle, u, v, albedo, way, normal, chance, *facet
             )  # fmt: skip
             stops[several] = lobe == DIFFUSE
             if weight is None:
@@ -157,6 +157,16 @@ def _trace(surfaces, camera, sky, offset, rows, seed, transparent):
         ends = [column[order] for column in ends]
     ends[0] = ends[0] + first
     return (*ends, seen, alpha, depth, shown)
+
+
+def _chances(pixel, turn, number, seed):
+    """Three numbers in [0, 1) for each pixel; those of its frames are evenly spread."""
+    made = []
+    for k, step in enumerate((GOLDEN, *PLASTIC)):
+        # each turn by steps of its own
+        value = hash_uniform(pixel, 7 * turn + k, seed) + np.float32(number * (step + turn * 2**0.5) % 1)
+        made.append(np.minimum(value - np.floor(value), BELOW_ONE))
+    return made
 
 
 def background(camera: Camera, sky: Sky | None, transparent: bool = False) -> np.ndarray:

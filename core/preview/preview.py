@@ -57,7 +57,8 @@ _STEPS = (PLASTIC, (2**0.5 - 1, 3**0.5 - 1), (5**0.5 - 2, 7**0.5 - 2))
 
 @dataclass(frozen=True)
 class Settings:
-    """bounces: of indirect light, at most. places: in a pixel, that a camera at rest goes through, 1 for its middle alone.
+    """bounces: of indirect light, at most. places: in a pixel, that a camera at rest goes through, 1 for its middle
+    alone; where mirrors or glass are seen every frame has its own.
     filter_width: of a pixel, px. ao_distance: m, beyond which nothing occludes. transparent: the camera does not see the
     sky. split: keep first light, indirect light and occlusion apart, for the passes that show them; else Combined alone.
     cached: share light between pixels, in the world-space cache; else every pixel has its own mean."""
@@ -76,7 +77,8 @@ class Settings:
 class _View:
     """One look through the camera. reflectance: (m, 3) radiance for irradiance at the G-buffer's places. known: (k,) rows of
     its m whose indirect light a bake holds, rest: the others. baked: (k, C) of the known ones, first and indirect light
-    where these are apart. places: of the rest, in the cache. shown: what the film has of it, of each of the cache's parts.
+    where these are apart. places: of the rest, in the cache. direct: (pixels, 3), sum over its visits. shown: what the film
+    has of it, by name.
     """
 
     buffer: GBuffer
@@ -85,11 +87,13 @@ class _View:
     rest: np.ndarray
     baked: np.ndarray | None
     places: object = None
+    direct: np.ndarray | None = None
+    visits: int = 0
     shown: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def bytes(self) -> int:
-        return 420 * len(self.buffer.rows) + 60 * len(self.buffer.depth)
+        return 420 * len(self.buffer.rows) + 84 * len(self.buffer.depth)
 
 
 class Preview:
@@ -120,6 +124,8 @@ class Preview:
         coarse = None
         if self.settings.cached:
             coarse = Cache(3, fine=COARSE, coarse=None, slots=1 << 18, seed=self.settings.seed)
+        # what mirrors and glass show is picked anew at each frame
+        self._comes_back = surfaces.is_plain
         self._span = 0.0
         self._lamps = self._make_lamps(lights)
         self._tracer = PathTracer(surfaces, self._lamps, sky, baked, coarse, self.settings.seed)
@@ -175,16 +181,22 @@ class Preview:
         film, weight = self._film, float(self.frames) ** LATER
         kept = bool(self._views)
         # what a place in the pixel shows by itself stays: once all have been seen, the mean of them is final
-        fresh = self.frames <= self.settings.places
+        fresh = not self._comes_back or self.frames <= self.settings.places
         if fresh:
             film.add("seen", np.concatenate([buffer.seen, buffer.alpha[:, None]], axis=1))
-        film.add("direct", direct)
-        for name, values in parts.items():
-            image = _spread(buffer, values, None if name == "ao" else view.reflectance)
-            if kept:
+        images = {
+            name: _spread(buffer, values, None if name == "ao" else view.reflectance) for name, values in parts.items()
+        }
+        if kept:
+            # places count alike however often each was seen, or edges would shake
+            view.direct = direct if view.direct is None else np.add(view.direct, direct, out=view.direct)
+            view.visits += 1
+            for name, image in (("direct", view.direct * _F(1 / view.visits)), *images.items()):
                 film.replace(name, image, view.shown.get(name))
                 view.shown[name] = image
-            else:
+        else:
+            film.add("direct", direct)
+            for name, image in images.items():
                 film.add(name, image, weight)
         if not self.settings.split:
             return
@@ -224,11 +236,11 @@ class Preview:
     def _view(self, number: int) -> _View:
         """The view of a frame; those that a camera at rest comes back to are kept."""
         settings = self.settings
-        place = number % settings.places
+        place = number % settings.places if self._comes_back else number
         if place in self._views:
             return self._views[place]
         offset = offsets(place + 1, settings.filter_width, settings.seed)[place]
-        buffer = make_gbuffer(self.surfaces, self.camera, self.sky, offset, settings.seed + place, settings.transparent)
+        buffer = make_gbuffer(self.surfaces, self.camera, self.sky, offset, place, settings.seed, settings.transparent)
         known, rest, baked = np.zeros(0, np.int64), np.arange(len(buffer.rows)), None
         if self._tracer.bake is not None:
             held = self._tracer.bake.knows[buffer.triangle]
@@ -240,7 +252,7 @@ class Preview:
             # another unit is another cache, so it stays while it is about right
             if not 0.4 < self._span / max(span, 1e-30) < 2.5:
                 self._span = span
-        if settings.places * view.bytes <= KEPT_BYTES:
+        if self._comes_back and settings.places * view.bytes <= KEPT_BYTES:
             self._views[place] = view
         return view
 
@@ -310,7 +322,7 @@ class Preview:
             return values if whole else values[rest]
 
         if view.baked is not None and not len(rest) and not split:
-            return {} if view.shown else {"light": view.baked}
+            return {} if "light" in view.shown else {"light": view.baked}
         made = None
         if view.baked is not None or not len(rest):
             made = np.zeros((len(buffer.rows), sum(self._channels.values())), np.float32)
