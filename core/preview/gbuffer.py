@@ -84,7 +84,8 @@ def _trace(surfaces, camera, sky, offset, rows, number, seed, transparent):
     count = len(pixel)
     seen, alpha = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
     depth, shown = np.full(count, FARTHEST, np.float32), np.zeros((count, 3), np.float32)
-    weight, gone = None, np.zeros(count, np.float32)
+    # rays begin on the near plane
+    weight, gone = None, camera.depth(start)
     inside = np.zeros((count, 3), np.float32)
     alive, ends = np.arange(count), []
     looks = surfaces.looks

@@ -15,7 +15,8 @@ from .rasters import CornerUV, Raster
 class Texture:
     """An image that a material's albedo comes from: albedo = offset + scale · texel.
 
-    image: (H, W, 3) float32, linear, row 0 at v = 0. scale, offset: (3,). extension: beyond [0, 1] the image is
+    image: (H, W, 3) float32, row 0 at v = 0, linear, or, where `encoded`, in sRGB: that is how Cycles has images of bytes,
+    and it mixes texels before it decodes them. scale, offset: (3,). extension: beyond [0, 1] the image is
     repeated ("REPEAT"), its border goes on ("EXTEND"), or there is `offset` alone ("CLIP"). smooth: bilinear.
     transform: (2, 3), from the scene's `texture_uv` to the image's.
     """
@@ -26,10 +27,27 @@ class Texture:
     extension: str = "REPEAT"
     smooth: bool = True
     transform: np.ndarray | None = None
+    encoded: bool = False
+
+    @property
+    def mean(self) -> np.ndarray:
+        """(3,) albedo over the image."""
+        image = decoded(self.image) if self.encoded else self.image
+        return np.clip(self.offset + self.scale * image.mean((0, 1)), 0, 1)
 
     def on(self, uv: CornerUV) -> _Placed:
         """The texture on the triangles of a scene whose `texture_uv` this is."""
         return _Placed(self, uv)
+
+
+_CODES = 1 << 14
+_code = np.arange(_CODES + 1) / _CODES
+_LINEAR = np.where(_code <= 0.04045, _code / 12.92, ((_code + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def decoded(values: np.ndarray) -> np.ndarray:
+    """float32 in [0, 1], linear, of sRGB in [0, 1], of any shape; to within 1e-4."""
+    return _LINEAR.take((np.clip(values, 0, 1) * np.float32(_CODES) + np.float32(0.5)).astype(np.int32))
 
 
 class _Placed:
@@ -47,6 +65,8 @@ class _Placed:
             (a, b, c), (d, e, f) = texture.transform.astype(np.float32)
             x, y = a * x + b * y + c, d * x + e * y + f
         found = self._raster.at(x, y)
+        if texture.encoded:
+            found = decoded(found)
         for k in range(3):
             found[k] *= np.float32(texture.scale[k])
             found[k] += np.float32(texture.offset[k])
