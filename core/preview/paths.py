@@ -12,9 +12,9 @@ from ..sampling import hash_uint32, hash_uniform
 from ..scene import Sky
 from ..threads import in_threads
 from ..vectors import scaled
+from .baked import BakedLight
 from .gbuffer import CHUNK
 from .light import Baked, Lamps
-from .rasters import CornerUV, Raster
 from .surfaces import Surfaces
 
 FEED = (0.25, 0.0625)
@@ -190,7 +190,7 @@ class PathTracer:
             light = np.zeros_like(hit)
         unknown = np.ones(len(rows), bool)
         if self.bake is not None:
-            known = np.flatnonzero(self.bake.knows[triangle])
+            known = np.flatnonzero(self.bake.holds(triangle, flat))
             unknown[known] = False
             read = self.bake.read(triangle[known], u[known], v[known])
             light[known] += sum(read).T
@@ -214,33 +214,3 @@ def _same(normal, flat, piece):
     """Parts of the normals; one array where both are one, which spares work."""
     part = normal[piece]
     return part, part if flat is normal else flat[piece]
-
-
-class BakedLight:
-    """A bake's light at places on surfaces. knows: (T,) bool, the triangles whose light it holds."""
-
-    def __init__(self, surfaces: Surfaces, baked: Baked):
-        scene = surfaces.scene
-        receives = np.array([o.receives and not o.at_vertices for o in scene.objects], bool)
-        self.knows = receives[scene.triangle_object] & np.isfinite(scene.atlas_uv).all((1, 2))
-        self._uv = CornerUV(scene.atlas_uv)
-        others = [image for image in (baked.first, baked.caustics) if image is not None]
-        first = np.zeros_like(baked.irradiance)
-        for image in others:
-            first += _as_large(image, first.shape)
-        # side by side, so that one look-up fetches both
-        pairs = [image[..., k] for k in range(3) for image in (first, baked.irradiance)]
-        self._image = Raster(np.stack(pairs, axis=-1))
-
-    def read(self, triangle, u, v) -> tuple[np.ndarray, np.ndarray]:
-        """First light and caustics together, and indirect light, (3, n) float32 W/m² each."""
-        found = self._image.at(*self._uv.at(triangle, u, v))
-        return found[0::2], found[1::2]
-
-
-def _as_large(image, shape):
-    """An image with as many texels as another of this shape."""
-    if image.shape == shape:
-        return image
-    v, u = ((np.arange(count, dtype=np.float32) + np.float32(0.5)) / count for count in shape[:2])
-    return Raster(image).at(np.tile(u, len(v)), np.repeat(v, len(u))).T.reshape(shape)

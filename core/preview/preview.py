@@ -243,7 +243,7 @@ class Preview:
         buffer = make_gbuffer(self.surfaces, self.camera, self.sky, offset, place, settings.seed, settings.transparent)
         known, rest, baked = np.zeros(0, np.int64), np.arange(len(buffer.rows)), None
         if self._tracer.bake is not None:
-            held = self._tracer.bake.knows[buffer.triangle]
+            held = self._tracer.bake.holds(buffer.triangle, buffer.flat)
             known, rest = np.flatnonzero(held), np.flatnonzero(~held)
             baked = self._read_bake(buffer, known)
         view = _View(buffer, buffer.reflectance * _F(1 / np.pi), known, rest, baked)

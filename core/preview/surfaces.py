@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from ..caustics import casters
 from ..rays import LAYERS, Bvh, Tracer
 from ..scene import Scene
+from ..surface.components import components
 from ..surface.samples import unit
 from ..vectors import around, dot, join, split
 from .lobes import OpticsTable
@@ -136,6 +138,32 @@ class Surfaces:
         landed = at >= 0
         rows, missed = np.flatnonzero(landed), np.flatnonzero(~landed)
         return Places(rows, at[rows], us[rows], vs[rows], way[rows], weight[rows], missed, weight[missed])
+
+    @cached_property
+    def strip_width(self) -> np.ndarray:
+        """(T,) float32, about how wide the island of the atlas is that a triangle belongs to, in atlas widths: its area over
+        its longest side. NaN without a place there."""
+        uv = self.scene.atlas_uv.astype(np.float32)
+        place = np.ascontiguousarray(uv).view(np.uint64)[..., 0]
+        corner = np.unique(place, return_inverse=True)[1].reshape(place.shape)
+        ends = corner[:, [0, 1]].ravel(), corner[:, [1, 2]].ravel()
+        island = components(int(corner.max(initial=-1)) + 1, *ends)[corner[:, 0]]
+        along, up = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+        area = np.bincount(island, np.abs(along[:, 0] * up[:, 1] - along[:, 1] * up[:, 0]) / 2)
+        low, high = np.full((len(area), 2), np.inf), np.full((len(area), 2), -np.inf)
+        np.minimum.at(low, island, uv.min(axis=1))
+        np.maximum.at(high, island, uv.max(axis=1))
+        return (area / np.maximum(np.linalg.norm(high - low, axis=1), 1e-30)).astype(np.float32)[island]
+
+    def is_front(self, triangle, normal) -> np.ndarray:
+        """(n,) bool: whether normals (n, 3) of triangles (n,) point where the faces' own do."""
+        own = self._flat
+        return (
+            own[0].take(triangle) * normal[:, 0]
+            + own[1].take(triangle) * normal[:, 1]
+            + own[2].take(triangle) * normal[:, 2]
+            > 0
+        )
 
     def normals(self, triangle, u, v, directions) -> tuple[np.ndarray, np.ndarray]:
         """Unit shading normals and geometric ones, (n, 3) float32 each, both on the side that rays come from.

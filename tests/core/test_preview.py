@@ -5,6 +5,7 @@ import pytest
 from lightpanes.core import metrics, threads
 from lightpanes.core.lights import irradiance
 from lightpanes.core.preview import PASSES, Baked, Camera, Lamps, Preview, Settings, Surfaces, background
+from lightpanes.core.preview.baked import BakedLight
 from lightpanes.core.preview.gbuffer import make_gbuffer
 from lightpanes.core.preview.looks import Looks, Texture
 from lightpanes.core.preview.pixel_filter import blackman_harris, offsets
@@ -267,6 +268,18 @@ def test_a_bake_is_read_where_there_is_one():
     assert preview.image()[..., :3] == pytest.approx(0.5 * 4, rel=1e-4)
     assert preview.image("Diffuse Indirect") == pytest.approx(1.0, rel=1e-4)
     assert (preview.image("AO") == 1).all()
+
+
+def test_a_bake_is_not_read_on_the_back_of_a_sheet_nor_on_strips_finer_than_its_texels():
+    sheet = (*shapes.quad((0, 0, 0), (1, 0, 0), (0, 1, 0)), 0)
+    strip = (*shapes.quad((2, 0, 0), (1, 0, 0), (0, 1, 0)), 0)
+    made = shapes.scene(sheet, strip)
+    made.atlas_uv[2:] = [[[0.9, 0.1], [0.901, 0.1], [0.901, 0.9]], [[0.9, 0.1], [0.901, 0.9], [0.9, 0.9]]]
+    surfaces = Surfaces(made)
+    assert surfaces.strip_width[2:] == pytest.approx(0.001, rel=0.01)
+    bake, facing = BakedLight(surfaces, Baked(np.ones((64, 64, 3), np.float32))), surfaces.flat
+    assert bake.holds(np.arange(4), facing).tolist() == [True, True, False, False]
+    assert not bake.holds(np.arange(4), -facing).any()
 
 
 def test_light_through_glass_counts_once():
