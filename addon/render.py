@@ -29,7 +29,7 @@ PASSES = {
 }
 
 PLACES = 16
-"""Places in a pixel that a render goes through, at most, where nothing but edges needs them."""
+"""Places in a pixel that a render goes through, at most."""
 
 SHOW_EVERY = 1.0
 """Seconds between the images that a render shows while it goes on."""
@@ -94,12 +94,10 @@ class LIGHTPANES_render_engine(bpy.types.RenderEngine):
             if surfaces is None:
                 _write(result, "Combined", background(eye, lighting.sky, scene.render.film_transparent))
             else:
-                # what glass and see-through surfaces do is picked anew at each place in a pixel
                 samples = scene.lightpanes.samples
-                places = max(1, min(samples, PLACES) if surfaces.is_plain else samples)
-                settings = shown.settings_of(scene, split=bool(names), places=places)
+                settings = shown.settings_of(scene, split=bool(names), places=max(1, min(samples, PLACES)))
                 preview = Preview(surfaces, eye, lighting.lights, lighting.sky, settings, lighting.baked)
-                self._sample(preview, result, names, scene.lightpanes.samples)
+                self._sample(preview, result, names, samples)
         finally:
             self.end_result(result)
 

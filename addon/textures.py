@@ -62,7 +62,7 @@ class Textures:
                 own = scene.triangle_material == number
                 if texture is not None:
                     textures[number] = texture
-                    values["albedo"] = np.clip(texture.offset + texture.scale * texture.image.mean((0, 1)), 0, 1)
+                    values["albedo"] = texture.mean
                 elif has_albedo and placed[own].any():
                     mapped = True
             for kind, default in (
@@ -177,6 +177,8 @@ def _mapping(node) -> np.ndarray | None:
 
 def _read_texture(found: _Found, name: str, warnings: list[str]) -> Texture | None:
     pixels = _pixels(found.node.image)
+    # bytes come in the image's own space, floats are linear already
+    encoded = not found.node.image.is_float and found.node.image.colorspace_settings.name == "sRGB"
     if pixels is None:
         warnings.append(
             f"Material '{name}': the image '{found.node.image.name}' cannot be read, so it is shown in magenta. "
@@ -191,6 +193,7 @@ def _read_texture(found: _Found, name: str, warnings: list[str]) -> Texture | No
         EXTENSIONS[found.node.extension],
         found.node.interpolation != "Closest",
         found.transform,
+        encoded,
     )
 
 
@@ -198,7 +201,7 @@ _images: dict[int, tuple[tuple, np.ndarray]] = {}
 
 
 def _pixels(image) -> np.ndarray | None:
-    """(H, W, 3) float32, linear; None where the image has none. Kept until the image changes."""
+    """(H, W, 3) float32, as Blender has them; None where the image has none. Kept until the image changes."""
     key = (image.size[:], image.filepath_raw, image.colorspace_settings.name, image.source, image.is_dirty)
     held = _images.get(image.session_uid)
     if held is not None and held[0] == key and not image.is_dirty:
@@ -215,9 +218,6 @@ def _pixels(image) -> np.ndarray | None:
     pixels = pixels[::step, ::step]
     pixels = np.repeat(pixels[..., :1], 3, axis=2) if image.channels < 3 else pixels[..., :3]
     pixels = np.nan_to_num(pixels, nan=0.0, posinf=0.0, neginf=0.0)
-    # bytes come in the image's own space, floats are linear already
-    if not image.is_float and image.colorspace_settings.name == "sRGB":
-        pixels = np.where(pixels <= 0.04045, pixels / 12.92, ((np.maximum(pixels, 0) + 0.055) / 1.055) ** 2.4)
     pixels = np.ascontiguousarray(pixels, np.float32)
     _images[image.session_uid] = key, pixels
     return pixels

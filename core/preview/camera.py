@@ -91,29 +91,42 @@ class Camera:
     def is_orthographic(self) -> bool:
         return bool(self.projection[3, 3] != 0)
 
-    def rays(self, offset: tuple[float, float] = (0.5, 0.5)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Through each pixel of the window, rows from the bottom up.
+    def rays(
+        self, offset: tuple[float, float] = (0.5, 0.5), rows: slice = slice(None)
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Through each pixel of the window, or of some of its rows, from the bottom up.
 
         offset: place in the pixel, (0.5, 0.5) its middle. Returns origins on the near plane (n, 3), unit directions
         (n, 3) and the way to the far plane (n,), float32.
         """
         left, bottom, right, top = self.window
         x = (np.arange(left, right) + offset[0]) * 2 / self.width - 1
-        y = (np.arange(bottom, top) + offset[1]) * 2 / self.height - 1
+        y = (np.arange(bottom, top)[rows] + offset[1]) * 2 / self.height - 1
         back = np.linalg.inv(self.projection @ self.view)
 
         def plane(depth):
-            # on a plane of one depth places are linear in x and y
+            # on a plane of one depth places are linear in x and y: a corner, along, up
             corners = np.array([[0, 0, depth, 1], [1, 0, depth, 1], [0, 1, depth, 1]], np.float64) @ back.T
             corners = corners[:, :3] / corners[:, 3:]
-            along, up = corners[1] - corners[0], corners[2] - corners[0]
-            row = corners[0] + y[:, None] * up
-            return (row[:, None] + (x[:, None] * along)[None]).reshape(-1, 3)
+            return corners - [[0, 0, 0], corners[0], corners[0]]
+
+        def spread(parts, scale=1.0):
+            # sums in float32 of what is near the places themselves
+            up = ((parts[0] + y[:, None] * parts[2]) / scale).astype(np.float32)
+            along = (x[:, None] * parts[1] / scale).astype(np.float32)
+            made = np.empty((len(y), len(x), 3), np.float32)
+            for k in range(3):
+                np.add(up[:, k, None], along[None, :, k], out=made[..., k])
+            return made.reshape(-1, 3)
 
         near = plane(-1.0)
-        way = plane(1.0) - near
-        reach = np.linalg.norm(way, axis=1)
-        return near.astype(np.float32), (way / reach[:, None]).astype(np.float32), reach.astype(np.float32)
+        away = plane(1.0) - near
+        farthest = np.linalg.norm(away[0])
+        way = spread(away, farthest)
+        length = np.sqrt(np.einsum("nk,nk->n", way, way))
+        for k in range(3):
+            way[:, k] /= length
+        return spread(near), way, length * np.float32(farthest)
 
     def depth(self, positions: np.ndarray) -> np.ndarray:
         """(n,) float32 m, distance of (n, 3) places from the plane of the camera."""

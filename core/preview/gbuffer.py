@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..lights import sky_radiance
-from ..optics import fresnel, reflect, refract, schlick
 from ..rays import chunks
-from ..sampling import frame, hash_uniform
-from ..scene import Optics, Sky
+from ..sampling import BELOW_ONE, GOLDEN, PLASTIC, hash_uniform
+from ..scene import Sky
 from ..threads import in_threads
 from ..vectors import scaled
 from .camera import Camera
+from .lobes import DIFFUSE, GLASS, choose
 from .surfaces import Surfaces
 
 CHUNK = 1 << 14
@@ -21,8 +21,6 @@ CHUNK = 1 << 14
 
 BOUNCES = 12
 """Mirrors, glass and see-through surfaces that a camera's ray follows."""
-
-_F = np.float32
 
 
 @dataclass(frozen=True)
@@ -61,33 +59,36 @@ def make_gbuffer(
     camera: Camera,
     sky: Sky | None,
     offset: tuple[float, float],
+    number: int,
     seed: int,
     transparent: bool = False,
 ) -> GBuffer:
     """Trace the camera's rays through the same place of each pixel.
 
-    offset: that place, (0.5, 0.5) its middle. seed: of the choices at surfaces that do several things with light.
+    offset: that place, (0.5, 0.5) its middle. number: of the frame; at surfaces that do several things with light, frames take turns.
     transparent: the sky is not seen by the camera, only by what reflects it.
     """
-    origins, directions, reach = camera.rays(offset)
+    width, height = camera.size
     parts = in_threads(
-        lambda piece: _trace(surfaces, camera, sky, origins, directions, reach, piece, seed, transparent),
-        chunks(len(origins), CHUNK),
+        lambda rows: _trace(surfaces, camera, sky, offset, rows, number, seed, transparent),
+        chunks(height, max(1, CHUNK // max(width, 1))),
     )
-    return GBuffer(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    return GBuffer(*in_threads(np.concatenate, zip(*parts, strict=True)))
 
 
-def _trace(surfaces, camera, sky, origins, directions, reach, piece, seed, transparent):
-    """The fields of a GBuffer for a piece of its pixels."""
-    pixel = np.arange(piece.start, piece.stop)
-    start, way, far = origins[piece], directions[piece], reach[piece]
+def _trace(surfaces, camera, sky, offset, rows, number, seed, transparent):
+    """The fields of a GBuffer for some rows of pixels."""
+    start, way, far = camera.rays(offset, rows)
+    first = rows.start * camera.size[0]
+    pixel = np.arange(first, first + len(way))
     count = len(pixel)
     seen, alpha = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
     depth, shown = np.full(count, FARTHEST, np.float32), np.zeros((count, 3), np.float32)
-    weight, gone = None, np.zeros(count, np.float32)
+    # rays begin on the near plane
+    weight, gone = None, camera.depth(start)
     inside = np.zeros((count, 3), np.float32)
     alive, ends = np.arange(count), []
-    looks, optics = surfaces.looks, _optics(surfaces)
+    looks = surfaces.looks
     for turn in range(BOUNCES):
         found = surfaces.land(surfaces.seen if turn == 0 else surfaces.reflecting, start, way, None, far)
         out = found.missed
@@ -112,18 +113,15 @@ def _trace(surfaces, camera, sky, origins, directions, reach, piece, seed, trans
             light = looks.emission(triangle, u, v)
             seen[who] += light if weight is None else weight * light
         albedo = looks.albedo(triangle, u, v)
-        material = surfaces.scene.triangle_material[triangle]
-        passes, special = surfaces.see_through[triangle], optics.shiny[material]
         stops = np.ones(len(rows), bool)
         reflectance = albedo if weight is None else albedo * weight
-        several = np.flatnonzero(passes | special)
+        several = np.flatnonzero(surfaces.several[triangle]) if surfaces.any_several else ()
         if len(several):
-            chance = hash_uniform(pixel[who[several]], 7 * turn, seed)
-            lobe, factor, onward, swallowed = _choose(
-                surfaces, optics, several, triangle, u, v, albedo, material, way, normal, chance,
-                hash_uniform(pixel[who[several]], 7 * turn + 1, seed), hash_uniform(pixel[who[several]], 7 * turn + 2, seed),
+            chance, *facet = _chances(pixel[who[several]], turn, number, seed)
+            lobe, factor, onward, swallowed = choose(
+                surfaces, several, triangle, u, v, albedo, way, normal, chance, *facet
             )  # fmt: skip
-            stops[several] = lobe == _DIFFUSE
+            stops[several] = lobe == DIFFUSE
             if weight is None:
                 weight = np.ones((len(rows), 3), np.float32)
             reflectance[several] = albedo[several] * weight[several] * factor
@@ -138,7 +136,7 @@ def _trace(surfaces, camera, sky, origins, directions, reach, piece, seed, trans
         )  # fmt: skip
         if not len(several):
             break
-        on = np.flatnonzero((lobe != _DIFFUSE) & (factor > 0).any(axis=1))
+        on = np.flatnonzero((lobe != DIFFUSE) & (factor > 0).any(axis=1))
         rows = several[on]
         if not len(rows):
             break
@@ -146,7 +144,7 @@ def _trace(surfaces, camera, sky, origins, directions, reach, piece, seed, trans
         way = onward[on]
         side = np.sign(np.einsum("nd,nd->n", way, flat[rows]))[:, None]
         start = hit[rows] + side * surfaces.offset * flat[rows]
-        inside = np.where(lobe[on, None] == _GLASS, swallowed[on], inside[rows] if turn else np.float32(0))
+        inside = np.where(lobe[on, None] == GLASS, swallowed[on], inside[rows] if turn else np.float32(0))
         far = np.full(len(rows), 1e30, np.float32)
     if ends:
         ends = [np.concatenate(column) for column in zip(*ends, strict=True)]
@@ -158,82 +156,18 @@ def _trace(surfaces, camera, sky, origins, directions, reach, piece, seed, trans
         # in the order of pixels, so that neighbours stay together
         order = np.argsort(ends[0], kind="stable")
         ends = [column[order] for column in ends]
-    ends[0] = ends[0] + piece.start
+    ends[0] = ends[0] + first
     return (*ends, seen, alpha, depth, shown)
 
 
-_DIFFUSE, _STRAIGHT, _MIRROR, _GLASS = range(4)
-
-
-@dataclass(frozen=True)
-class _OpticsTable:
-    """Optics of all materials, a row each."""
-
-    shiny: np.ndarray
-    values: dict[str, np.ndarray]
-
-
-def _optics(surfaces) -> _OpticsTable:
-    materials = surfaces.scene.materials
-    plain = Optics()
-    each = [m.optics or plain for m in materials]
-    names = Optics.__dataclass_fields__
-    values = {name: np.array([getattr(o, name) for o in each], np.float32) for name in names}
-    lobes = ("mirror", "mirror_edge", "glass", "gloss")
-    shiny = np.array([m.optics is not None for m in materials], bool)
-    shiny &= np.any([values[name].any(axis=1) for name in lobes], axis=0)
-    return _OpticsTable(shiny, values)
-
-
-def _choose(surfaces, optics, rows, triangle, u, v, albedo, material, way, normal, chance, a, b):
-    """One of the things that surfaces at `rows` do with light, in proportion to how much of it they do.
-
-    Returns for each row the lobe, (k, 3) the factor that the light gets, (k, 3) where the ray goes on, and (k, 3)
-    absorption beyond, 1/m.
-    """
-    triangle, way, normal, material = triangle[rows], way[rows], normal[rows], material[rows]
-    straight = np.zeros((len(rows), 3), np.float32)
-    clear = np.flatnonzero(surfaces.see_through[triangle])
-    straight[clear] = surfaces.transmission.at(triangle[clear], u[rows[clear]], v[rows[clear]])
-    get = {name: values[material] for name, values in optics.values.items()}
-    glassy = get["glass"].any(axis=1)
-    # the rest is bent instead
-    straight[glassy] = get["clear"][glassy]
-    # rough lobes look along a facet's normal (GGX)
-    alpha2 = np.minimum(get["roughness"] ** 4, 1)
-    steep = alpha2 * a / np.maximum(1 - a, 1e-6)
-    z, angle = 1 / np.sqrt(1 + steep), b * _F(2 * np.pi)
-    wide = np.sqrt(np.maximum(1 - z * z, 0))
-    tangent, bitangent = frame(normal)
-    facet = (
-        (wide * np.cos(angle))[:, None] * tangent + (wide * np.sin(angle))[:, None] * bitangent + z[:, None] * normal
-    )
-    cosine = -np.einsum("nd,nd->n", way, facet)
-    facet = np.where(cosine[:, None] > 0, facet, normal)
-    cosine = np.clip(-np.einsum("nd,nd->n", way, facet), 0, 1)
-    # which side of the surface the ray comes from: normals of the winding point outside
-    outside = np.einsum("nd,nd->n", way, surfaces.flat[triangle]) < 0
-    eta = np.where(outside, 1 / get["ior"], get["ior"])
-    reflectance, beyond = fresnel(cosine, eta)
-    mirror = schlick(get["mirror"], get["mirror_edge"], cosine[:, None]) + get["gloss"] * reflectance[:, None]
-    glass = get["glass"] * (1 - reflectance)[:, None]
-    lobes = np.stack([albedo[rows], straight, mirror, glass])
-    size = lobes.max(axis=2)
-    whole = size.sum(axis=0)
-    upto = np.cumsum(size, axis=0)
-    lobe = np.minimum((chance * whole >= upto).sum(axis=0), 3)
-    k = np.arange(len(rows))
-    share = size[lobe, k] / np.maximum(whole, 1e-20)
-    bounced = reflect(way.T, facet.T).T
-    bent = refract(way.T, facet.T, cosine, beyond, eta).T
-    onward = np.select([lobe[:, None] == _MIRROR, lobe[:, None] == _GLASS], [bounced, bent], way)
-    onward /= np.maximum(np.linalg.norm(onward, axis=1, keepdims=True), 1e-20)
-    swallowed = np.where(outside[:, None], get["absorption"], 0)
-    diffuse = lobe == _DIFFUSE
-    # the diffuse lobe's colour is counted by the caller
-    factor = np.where(diffuse[:, None], 1, lobes[lobe, k]) / np.maximum(share, 1e-20)[:, None]
-    factor[whole <= 0] = 0
-    return lobe, factor.astype(np.float32), onward.astype(np.float32), swallowed.astype(np.float32)
+def _chances(pixel, turn, number, seed):
+    """Three numbers in [0, 1) for each pixel; those of its frames are evenly spread."""
+    made = []
+    for k, step in enumerate((GOLDEN, *PLASTIC)):
+        # each turn by steps of its own
+        value = hash_uniform(pixel, 7 * turn + k, seed) + np.float32(number * (step + turn * 2**0.5) % 1)
+        made.append(np.minimum(value - np.floor(value), BELOW_ONE))
+    return made
 
 
 def background(camera: Camera, sky: Sky | None, transparent: bool = False) -> np.ndarray:

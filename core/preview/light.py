@@ -58,11 +58,12 @@ class Lamps:
         points: (n, 3) m, lifted off their surfaces. normals: (n, 3) unit. u: (2, n) in [0, 1), place on the lamps.
         pick: (n,) in [0, 1).
         """
-        result = np.zeros((len(points), 3), np.float32)
+        result = np.zeros((3, len(points)), np.float32)
+        place, facing = split(points), split(normals)
         if len(self.lights) <= most:
             for number in range(len(self.lights)):
-                self._add(result, number, None, points, normals, _turned(u, number), None)
-            return result
+                self._add(result, number, None, points, place, facing, _turned(u, number), None)
+            return join(*result)
         for turn in range(most):
             stratum = (pick + turn) / _F(most)
             number, share = self._grid.pick(points, np.minimum(stratum, _F(1 - 2**-24)))
@@ -71,26 +72,38 @@ class Lamps:
             turned = _turned(u, turn)
             for each in np.unique(number):
                 rows = order[ends[each] : ends[each + 1]]
-                self._add(result, each, rows, points[rows], normals[rows], turned[:, rows], share[rows] * _F(most))
-        return result
+                self._add(
+                    result, each, rows, points[rows], place[:, rows], facing[:, rows], turned[:, rows], share[rows] * _F(most)
+                )  # fmt: skip
+        return join(*result)
 
-    def _add(self, result, number, rows, points, normals, u, share):
+    def _add(self, result, number, rows, points, place, facing, u, share):
+        """Add a lamp's light to `rows` of the result, (3, n), None for all of them."""
         light = self.lights[number]
         sample = {"POINT": _ball, "SPOT": _ball, "SUN": _sun, "AREA": _panel}[light.kind]
-        value, vectors = sample(light, split(points), split(normals), u, self._reach)
-        lit = np.flatnonzero(value > 0)
-        if not len(lit):
-            return
-        value = value.take(lit)
+        value, vectors = sample(light, place, facing, u, self._reach)
         if share is not None:
-            value /= share[lit]
+            value = value / share
         if light.casts_shadow:
-            ways = join(*(part.take(lit) for part in vectors))
-            through = self._tracer.visibility(points.take(lit, axis=0), ways)
-            value = value * through if through.ndim == 1 else scaled(through, value)
-        into = lit if rows is None else rows[lit]
+            value = self._shadowed(value, points, vectors)
         for k in range(3):
-            result[into, k] += (value if value.ndim == 1 else value[:, k]) * self._colour[number][k]
+            part = (value if value.ndim == 1 else value[:, k]) * self._colour[number][k]
+            if rows is None:
+                result[k] += part
+            else:
+                result[k][rows] += part
+
+    def _shadowed(self, value, points, vectors):
+        """Values where nothing stands in between, (n,), or (n, 3) behind coloured glass."""
+        lit = np.flatnonzero(value > 0)
+        if len(lit) == len(value):
+            through = self._tracer.visibility(points, join(*vectors))
+        else:
+            ways = join(*(part.take(lit) for part in vectors))
+            some = self._tracer.visibility(points.take(lit, axis=0), ways)
+            through = np.zeros((len(value), *some.shape[1:]), np.float32)
+            through[lit] = some
+        return value * through if through.ndim == 1 else scaled(through, value)
 
 
 def _turned(u, turn):
@@ -144,13 +157,18 @@ def _ball(light: Light, points, normals, u, reach):
 
 def _sun(light: Light, points, normals, u, reach):
     count = len(points[0])
-    towards = [np.full(count, t, np.float32) for t in -light.direction]
+    axis = (-light.direction).astype(np.float32)
     half = min(light.angle, np.pi) / 2
     if half <= 0:
-        return np.maximum(dot(towards, normals), 0), [t * reach for t in towards]
-    sine2 = np.full(count, np.sin(half) ** 2, np.float32)
-    direction, _, _, base = _in_cap(towards, sine2, u)
-    return np.maximum(dot(direction, normals), 0) * 2 / base, [part * reach for part in direction]
+        cosine = axis[0] * normals[0] + axis[1] * normals[1] + axis[2] * normals[2]
+        return np.maximum(cosine, 0), [np.full(count, t * reach, np.float32) for t in axis]
+    sine2 = _F(np.sin(half) ** 2)
+    direction, _, _, base = _in_cap(axis, sine2, u)
+    value = np.maximum(dot(direction, normals), 0)
+    value *= 2 / base
+    for part in direction:
+        part *= reach
+    return value, direction
 
 
 def _panel(light: Light, points, normals, u, reach):

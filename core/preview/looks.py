@@ -8,13 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..scene import Scene
+from .rasters import CornerUV, Raster
 
 
 @dataclass(frozen=True)
 class Texture:
     """An image that a material's albedo comes from: albedo = offset + scale · texel.
 
-    image: (H, W, 3) float32, linear, row 0 at v = 0. scale, offset: (3,). extension: beyond [0, 1] the image is
+    image: (H, W, 3) float32, row 0 at v = 0, linear, or, where `encoded`, in sRGB: that is how Cycles has images of bytes,
+    and it mixes texels before it decodes them. scale, offset: (3,). extension: beyond [0, 1] the image is
     repeated ("REPEAT"), its border goes on ("EXTEND"), or there is `offset` alone ("CLIP"). smooth: bilinear.
     transform: (2, 3), from the scene's `texture_uv` to the image's.
     """
@@ -25,47 +27,50 @@ class Texture:
     extension: str = "REPEAT"
     smooth: bool = True
     transform: np.ndarray | None = None
+    encoded: bool = False
 
-    def at(self, uv: np.ndarray) -> np.ndarray:
-        """(n, 3) float32 albedo at (n, 2) coordinates of the scene's `texture_uv`."""
-        if self.transform is not None:
-            uv = uv @ self.transform[:, :2].T.astype(np.float32) + self.transform[:, 2].astype(np.float32)
-        texel = sample(self.image, uv, self.extension, self.smooth)
-        return np.clip(self.offset + self.scale * texel, 0, 1).astype(np.float32)
+    @property
+    def mean(self) -> np.ndarray:
+        """(3,) albedo over the image."""
+        image = decoded(self.image) if self.encoded else self.image
+        return np.clip(self.offset + self.scale * image.mean((0, 1)), 0, 1)
+
+    def on(self, uv: CornerUV) -> _Placed:
+        """The texture on the triangles of a scene whose `texture_uv` this is."""
+        return _Placed(self, uv)
 
 
-def sample(image: np.ndarray, uv: np.ndarray, extension: str = "EXTEND", smooth: bool = True) -> np.ndarray:
-    """(n, C) float32 of an (H, W, C) image, row 0 at v = 0, at (n, 2) coordinates; extension, smooth as in Texture."""
-    height, width = image.shape[:2]
-    flat = image.reshape(height * width, -1)
-    uv = np.nan_to_num(uv, nan=0.0, posinf=0.0, neginf=0.0)
-    outside = None
-    if extension == "REPEAT":
-        uv = uv - np.floor(uv)
-    elif extension == "CLIP":
-        outside = ((uv < 0) | (uv > 1)).any(axis=1)
-    x, y = uv[:, 0] * np.float32(width), uv[:, 1] * np.float32(height)
+_CODES = 1 << 14
+_code = np.arange(_CODES + 1) / _CODES
+_LINEAR = np.where(_code <= 0.04045, _code / 12.92, ((_code + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
-    def index(row, column):
-        if extension == "REPEAT":
-            return (row % height) * width + column % width
-        return np.clip(row, 0, height - 1) * width + np.clip(column, 0, width - 1)
 
-    if not smooth:
-        found = flat.take(index(np.floor(y).astype(np.int32), np.floor(x).astype(np.int32)), axis=0)
-    else:
-        x, y = x - np.float32(0.5), y - np.float32(0.5)
-        left, low = np.floor(x), np.floor(y)
-        a, b = (x - left)[:, None], (y - low)[:, None]
-        left, low = left.astype(np.int32), low.astype(np.int32)
-        below, above = (
-            flat.take(index(row, left), axis=0) * (1 - a) + flat.take(index(row, left + 1), axis=0) * a
-            for row in (low, low + 1)
-        )
-        found = below * (1 - b) + above * b
-    if outside is not None:
-        found[outside] = 0
-    return found
+def decoded(values: np.ndarray) -> np.ndarray:
+    """float32 in [0, 1], linear, of sRGB in [0, 1], of any shape; to within 1e-4."""
+    return _LINEAR.take((np.clip(values, 0, 1) * np.float32(_CODES) + np.float32(0.5)).astype(np.int32))
+
+
+class _Placed:
+    """A texture on a scene's triangles."""
+
+    def __init__(self, texture: Texture, uv: CornerUV):
+        self._texture, self._uv = texture, uv
+        self._raster = Raster(texture.image, texture.extension, texture.smooth)
+
+    def at(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(3, n) float32 albedo."""
+        texture = self._texture
+        x, y = self._uv.at(triangle, u, v)
+        if texture.transform is not None:
+            (a, b, c), (d, e, f) = texture.transform.astype(np.float32)
+            x, y = a * x + b * y + c, d * x + e * y + f
+        found = self._raster.at(x, y)
+        if texture.encoded:
+            found = decoded(found)
+        for k in range(3):
+            found[k] *= np.float32(texture.scale[k])
+            found[k] += np.float32(texture.offset[k])
+        return np.clip(found, 0, 1, out=found)
 
 
 def corner_values(values: np.ndarray, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -80,20 +85,25 @@ class Looks:
 
     def __init__(self, scene: Scene, textures: Mapping[int, Texture] | None = None):
         self.scene = scene
-        self._textures = dict(textures or {}) if scene.texture_uv is not None else {}
+        self._textures = {}
+        if scene.texture_uv is not None and textures:
+            uv = CornerUV(scene.texture_uv)
+            self._textures = {number: texture.on(uv) for number, texture in textures.items()}
         placed = np.isfinite(scene.atlas_uv).all((1, 2))
         mapped = np.array([m.mapped for m in scene.materials], bool)[scene.triangle_material] & placed
-        self._own, self._varies = {}, {}
+        if self._textures:
+            self._textured = np.isin(scene.triangle_material, list(self._textures))
+            self._textured &= np.isfinite(scene.texture_uv).all((1, 2))
+        self._atlas_uv = CornerUV(scene.atlas_uv)
+        self._own, self._maps = {}, {}
         for what in ("albedo", "emission"):
             constant = np.array([getattr(m, what) for m in scene.materials], np.float32)
             self._own[what] = constant[scene.triangle_material]
-            varies = mapped.copy() if getattr(scene, f"{what}_map") is not None else np.zeros(len(mapped), bool)
-            if what == "albedo" and self._textures:
-                self._textured = np.isin(scene.triangle_material, list(self._textures))
-                self._textured &= np.isfinite(scene.texture_uv).all((1, 2))
-                varies |= self._textured
-            self._varies[what] = varies if varies.any() else None
-        self.emits = bool(self._own["emission"].any() or self._varies["emission"] is not None)
+            image = getattr(scene, f"{what}_map")
+            shown = mapped & ~self._textured if what == "albedo" and self._textures else mapped
+            if image is not None and shown.any():
+                self._maps[what] = shown, Raster(image)
+        self.emits = bool(self._own["emission"].any() or "emission" in self._maps)
 
     def albedo(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(n, 3) float32 diffuse reflectance at barycentric places of triangles (n,)."""
@@ -104,8 +114,7 @@ class Looks:
             for number, texture in self._textures.items():
                 rows = textured[material == number]
                 if len(rows):
-                    uv = corner_values(self.scene.texture_uv, triangle[rows], u[rows], v[rows])
-                    colour[rows] = texture.at(uv)
+                    _put(colour, rows, texture.at(triangle[rows], u[rows], v[rows]))
         return colour
 
     def emission(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -114,10 +123,19 @@ class Looks:
 
     def _colour(self, what, triangle, u, v):
         colour = self._own[what].take(triangle, axis=0)
-        if self._varies[what] is None or getattr(self.scene, f"{what}_map") is None:
+        if what not in self._maps:
             return colour
-        rows = np.flatnonzero(self._varies[what][triangle] & np.isfinite(self.scene.atlas_uv[triangle, 0, 0]))
+        shown, image = self._maps[what]
+        rows = np.flatnonzero(shown[triangle])
         if len(rows):
-            uv = corner_values(self.scene.atlas_uv, triangle[rows], u[rows], v[rows])
-            colour[rows] = sample(getattr(self.scene, f"{what}_map"), uv)
+            _put(colour, rows, image.at(*self._atlas_uv.at(triangle[rows], u[rows], v[rows])))
         return colour
+
+
+def _put(colour, rows, found):
+    """Rows of (n, 3) become what (3, k) says."""
+    if len(rows) == len(colour):
+        colour[:] = found[:3].T
+        return
+    for k in range(3):
+        colour[rows, k] = found[k]

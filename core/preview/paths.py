@@ -12,9 +12,9 @@ from ..sampling import hash_uint32, hash_uniform
 from ..scene import Sky
 from ..threads import in_threads
 from ..vectors import scaled
+from .baked import BakedLight
 from .gbuffer import CHUNK
 from .light import Baked, Lamps
-from .looks import corner_values, sample
 from .surfaces import Surfaces
 
 FEED = (0.25, 0.0625)
@@ -98,25 +98,27 @@ class PathTracer:
         return self._gather(position, normal, flat, pixel, span, u, seed, bounces, 0)
 
     def _gather(self, position, normal, flat, pixel, span, u, seed, bounces, turn) -> Light:
-        pieces = chunks(len(position), CHUNK) or [slice(0, 0)]
-        parts = in_threads(
-            lambda s: self._step(*_same(normal, flat, s), position[s], pixel[s], u[:, s], seed, turn, s.start), pieces
+        light = Light(
+            *(np.zeros((len(position), 3), np.float32) for _ in range(2)), np.full(len(position), np.inf, np.float32)
         )
-        first, way = (np.concatenate(column) for column in list(zip(*parts, strict=True))[:2])
-        indirect = np.zeros_like(first)
-        vertices = [part[2] for part in parts]
-        if bounces > 1 and any(at.open.any() for at in vertices):
-            at = _joined(vertices)
-            rest = np.flatnonzero(at.open)
+        vertices = in_threads(
+            lambda s: self._step(
+                light, s, *_same(normal, flat, s), position[s], pixel[s], u[:, s], seed, turn, bounces
+            ),
+            chunks(len(position), CHUNK),
+        )
+        vertices = [at for at in vertices if at is not None]
+        if not vertices:
+            return light
+        at = _joined(vertices)
+        rest = np.flatnonzero(at.open)
+        if len(rest):
             if self.coarse is not None and turn == 0:
                 self._end_in_cache(at.light, at, rest, pixel, span, seed, bounces, turn)
             else:
                 self._go_on(at.light, at, rest, rest, pixel, span, seed, bounces, turn)
-            vertices = [at]
-        if bounces > 0:
-            for at in vertices:
-                indirect[at.rows] = at.factor * at.light
-        return Light(first, indirect, way)
+        light.indirect[at.rows] = at.factor * at.light
+        return light
 
     def _go_on(self, light, at, rest, into, pixel, span, seed, bounces, turn):
         """Follow paths on from `rest`, each with the chance that it matters (Russian roulette), and add what they find
@@ -150,21 +152,21 @@ class PathTracer:
             at.position[rows], at.normal[rows], at.flat[rows], pixel[origin], span, u, seed, bounces, turn + 1
         )  # fmt: skip
 
-    def _step(self, normal, flat, position, pixel, u, seed, turn, start) -> tuple[np.ndarray, np.ndarray, _Vertices]:
-        """One ray from each point of a piece that begins at row `start`: light of sky and emission that it meets (n, 3),
-        its way (n,) m, and where it lands."""
+    def _step(self, into: Light, piece, normal, flat, position, pixel, u, seed, turn, bounces) -> _Vertices | None:
+        """One ray from each point of a piece: light of sky and emission that it meets, and its way, go into `into`, and so
+        does what the last bounce brings; returns where it lands if it may go on from there."""
         surfaces, base = self.surfaces, _DIMENSIONS * turn
         directions = surfaces.scatter(normal, flat, u)
-        chance = None
-        if surfaces.see_through.any():
-            chance = hash_uniform(pixel, base + 3, seed)
+        chance = hash_uniform(pixel, base + 3, seed) if surfaces.any_see_through else None
         found = surfaces.land(surfaces.reflecting, position, directions, chance)
-        first, way = np.zeros((len(position), 3), np.float32), np.full(len(position), np.inf, np.float32)
+        first = into.first[piece]
         if self.sky is not None and len(found.missed):
             light = sky_radiance(self.sky, directions[found.missed]) * _PI
             first[found.missed] = light if found.missed_weight is None else light * found.missed_weight
         rows, triangle, u, v = found.rows, found.triangle, found.u, found.v
-        way[rows] = found.distance
+        into.way[piece][rows] = found.distance
+        if bounces < 1 and not surfaces.looks.emits:
+            return None
         heading = directions.take(rows, axis=0)
         hit = scaled(heading, found.distance)
         hit += position.take(rows, axis=0)
@@ -172,7 +174,10 @@ class PathTracer:
         if surfaces.looks.emits:
             light = surfaces.looks.emission(triangle, u, v) * _PI
             first[rows] += light if found.weight is None else light * found.weight
-        factor = np.minimum(surfaces.looks.albedo(triangle, u, v), BRIGHTEST)
+        if bounces < 1:
+            return None
+        factor = surfaces.looks.albedo(triangle, u, v)
+        np.minimum(factor, BRIGHTEST, out=factor)
         if found.weight is not None:
             factor *= found.weight
         hit += surfaces.offset * flat
@@ -185,12 +190,16 @@ class PathTracer:
             light = np.zeros_like(hit)
         unknown = np.ones(len(rows), bool)
         if self.bake is not None:
-            known = np.flatnonzero(self.bake.knows[triangle])
+            known = np.flatnonzero(self.bake.holds(triangle, flat))
             unknown[known] = False
             read = self.bake.read(triangle[known], u[known], v[known])
-            light[known] += sum(read)
+            light[known] += sum(read).T
+        if bounces == 1:
+            light *= factor
+            into.indirect[piece][rows] = light
+            return None
         owner = surfaces.scene.triangle_object[triangle]
-        return first, way, _Vertices(rows + start, hit, normal, flat, factor, light, unknown, owner)
+        return _Vertices(rows + piece.start, hit, normal, flat, factor, light, unknown, owner)
 
 
 def _joined(vertices: list[_Vertices]) -> _Vertices:
@@ -205,21 +214,3 @@ def _same(normal, flat, piece):
     """Parts of the normals; one array where both are one, which spares work."""
     part = normal[piece]
     return part, part if flat is normal else flat[piece]
-
-
-class BakedLight:
-    """A bake's light at places on surfaces. knows: (T,) bool, the triangles whose light it holds."""
-
-    def __init__(self, surfaces: Surfaces, baked: Baked):
-        self._scene, self._baked = surfaces.scene, baked
-        receives = np.array([o.receives and not o.at_vertices for o in self._scene.objects], bool)
-        self.knows = receives[self._scene.triangle_object] & np.isfinite(self._scene.atlas_uv).all((1, 2))
-
-    def read(self, triangle, u, v) -> tuple[np.ndarray, np.ndarray]:
-        """First light and caustics together, and indirect light, (n, 3) float32 W/m² each."""
-        uv = corner_values(self._scene.atlas_uv, triangle, u, v)
-        first = np.zeros((len(uv), 3), np.float32)
-        for image in (self._baked.first, self._baked.caustics):
-            if image is not None:
-                first += sample(image, uv)
-        return first, sample(self._baked.irradiance, uv)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -10,8 +11,10 @@ import numpy as np
 from ..caustics import casters
 from ..rays import LAYERS, Bvh, Tracer
 from ..scene import Scene
+from ..surface.components import components
 from ..surface.samples import unit
 from ..vectors import around, dot, join, split
+from .lobes import OpticsTable
 from .looks import Looks, Texture, corner_values
 
 SMOOTH = 0.9999
@@ -47,7 +50,10 @@ class Surfaces:
         self.offset = np.float32(self.tracer.offset)
         self.transmission = self.tracer.transmission
         self.see_through = self.transmission.see_through
-        self._clear = not self.see_through.any()
+        self.any_see_through = bool(self.see_through.any())
+        self.optics = OpticsTable(scene.materials)
+        self.several = self.see_through | self.optics.shiny[scene.triangle_material]
+        self.any_several = bool(self.several.any())
         owner = scene.triangle_object
         self._blocking: Tracer | None = None
         self._made: dict[bytes, tuple[Bvh, np.ndarray | None]] = {}
@@ -77,7 +83,7 @@ class Surfaces:
     @property
     def is_plain(self) -> bool:
         """Whether a camera's ray ends at the first surface that it meets, whichever that is."""
-        return self._clear and all(material.optics is None for material in self.scene.materials)
+        return not self.any_see_through and all(material.optics is None for material in self.scene.materials)
 
     def land(self, part, origins, directions, chance: np.ndarray | None = None, reach=None) -> Places:
         """First surfaces that rays meet; what is see-through they pass with the chance that it lets light pass.
@@ -93,7 +99,7 @@ class Surfaces:
         landed = triangle >= 0
         rows, missed = np.flatnonzero(landed), np.flatnonzero(~landed)
         triangle, u, v, distance = triangle[rows], hits.u[rows], hits.v[rows], hits.distance[rows]
-        if self._clear or chance is None:
+        if not self.any_see_through or chance is None:
             return Places(rows, triangle, u, v, distance, None, missed, None)
         return self._pass_on(part, origins, directions, chance, reach, (rows, triangle, u, v, distance, missed))
 
@@ -132,6 +138,32 @@ class Surfaces:
         landed = at >= 0
         rows, missed = np.flatnonzero(landed), np.flatnonzero(~landed)
         return Places(rows, at[rows], us[rows], vs[rows], way[rows], weight[rows], missed, weight[missed])
+
+    @cached_property
+    def strip_width(self) -> np.ndarray:
+        """(T,) float32, about how wide the island of the atlas is that a triangle belongs to, in atlas widths: its area over
+        its longest side. NaN without a place there."""
+        uv = self.scene.atlas_uv.astype(np.float32)
+        place = np.ascontiguousarray(uv).view(np.uint64)[..., 0]
+        corner = np.unique(place, return_inverse=True)[1].reshape(place.shape)
+        ends = corner[:, [0, 1]].ravel(), corner[:, [1, 2]].ravel()
+        island = components(int(corner.max(initial=-1)) + 1, *ends)[corner[:, 0]]
+        along, up = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+        area = np.bincount(island, np.abs(along[:, 0] * up[:, 1] - along[:, 1] * up[:, 0]) / 2)
+        low, high = np.full((len(area), 2), np.inf), np.full((len(area), 2), -np.inf)
+        np.minimum.at(low, island, uv.min(axis=1))
+        np.maximum.at(high, island, uv.max(axis=1))
+        return (area / np.maximum(np.linalg.norm(high - low, axis=1), 1e-30)).astype(np.float32)[island]
+
+    def is_front(self, triangle, normal) -> np.ndarray:
+        """(n,) bool: whether normals (n, 3) of triangles (n,) point where the faces' own do."""
+        own = self._flat
+        return (
+            own[0].take(triangle) * normal[:, 0]
+            + own[1].take(triangle) * normal[:, 1]
+            + own[2].take(triangle) * normal[:, 2]
+            > 0
+        )
 
     def normals(self, triangle, u, v, directions) -> tuple[np.ndarray, np.ndarray]:
         """Unit shading normals and geometric ones, (n, 3) float32 each, both on the side that rays come from.

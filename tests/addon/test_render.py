@@ -226,3 +226,65 @@ def test_blenders_panels_stay_and_go_with_the_engine(scene):
     render_panel.unregister()
     assert not {name for name in taken() if "LIGHTPANES" not in name}
     render_panel.register()
+
+
+def layer_of_step(scene):
+    """A second view layer, in which the step is not seen; returns it."""
+    apart = bpy.data.collections.new("Apart")
+    scene.collection.children.link(apart)
+    step = bpy.data.objects["Step"]
+    scene.collection.objects.unlink(step)
+    apart.objects.link(step)
+    layer = scene.view_layers.new("Bare")
+    layer.layer_collection.children["Apart"].exclude = True
+    return layer
+
+
+def test_view_layers_each_show_what_is_theirs(scene, monkeypatch):
+    bare = layer_of_step(scene)
+    bare.use_pass_z = True
+    scene.lightpanes.samples = 4
+    written = {}
+
+    def note(result, name, image):
+        written[result.layers[0].name, name] = image
+
+    monkeypatch.setattr(render, "_write", note)
+    bpy.ops.render.render()
+    first = next(layer.name for layer in scene.view_layers if layer.name != "Bare")
+    assert set(written) == {(first, "Combined"), ("Bare", "Combined"), ("Bare", "Depth")}
+    # the step is in the middle of the one, and not of the other
+    middle = (slice(8, 24), slice(16, 32))
+    with_step, without = (written[name, "Combined"][middle] for name in (first, "Bare"))
+    redness = [image[..., 0].max() / image[..., 2].max() for image in (with_step, without)]
+    assert redness[0] > 1.5 * redness[1]
+
+
+def test_every_frame_of_an_animation_is_a_render_of_its_own(scene, tmp_path):
+    step = bpy.data.objects["Step"]
+    scene.frame_start, scene.frame_end, scene.lightpanes.samples = 1, 3, 4
+    for frame, x in ((1, 0.0), (2, 0.6), (3, 3.0)):
+        step.location.x = x
+        step.keyframe_insert("location", index=0, frame=frame)
+    scene.render.filepath = str(tmp_path / "frame_####")
+    bpy.ops.render.render(animation=True)
+    frames = []
+    for path in sorted(tmp_path.glob("frame_*.exr")):
+        image = bpy.data.images.load(str(path))
+        pixels = np.empty(SIZE[0] * SIZE[1] * 4, np.float32)
+        image.pixels.foreach_get(pixels)
+        bpy.data.images.remove(image)
+        frames.append(pixels.reshape(SIZE[1], SIZE[0], 4))
+    assert len(frames) == 3
+
+    def redness(image, columns):
+        part = image[8:26, columns]
+        return (part[..., 0] - part[..., 2]).max()
+
+    left, right = slice(12, 24), slice(28, 40)
+    assert redness(frames[0], left) > redness(frames[1], left)
+    assert redness(frames[1], right) > 0.02
+    # each is what a render of that frame alone gives
+    scene.frame_set(2)
+    scene.render.filepath = str(tmp_path / "alone.exr")
+    assert rendered(scene) == pytest.approx(frames[1], abs=1e-4)

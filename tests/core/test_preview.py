@@ -5,6 +5,9 @@ import pytest
 from lightpanes.core import metrics, threads
 from lightpanes.core.lights import irradiance
 from lightpanes.core.preview import PASSES, Baked, Camera, Lamps, Preview, Settings, Surfaces, background
+from lightpanes.core.preview.baked import BakedLight
+from lightpanes.core.preview.gbuffer import make_gbuffer
+from lightpanes.core.preview.looks import Looks, Texture
 from lightpanes.core.preview.pixel_filter import blackman_harris, offsets
 from lightpanes.core.rays import Tracer
 from lightpanes.core.sampling import r2_points
@@ -71,6 +74,28 @@ def test_a_lamp_over_a_plane():
     expected = 0.5 / np.pi * 100 / (4 * np.pi * d2) * 2 / np.sqrt(d2)
     # points are lifted off the floor by a millimetre
     assert image[..., 0] == pytest.approx(expected, rel=2e-3)
+
+
+def test_a_pixel_is_as_wide_wherever_the_camera_begins_to_see():
+    # cells of the caches follow from it; two_rooms is cut open by the near plane
+    scene, _ = floor(shapes.GREY)
+    for near in (0.1, 4.9):
+        camera = Camera.from_lens(looking((0, 0, 5), (0, 0, 0), (0, 1, 0)), 36, 24, lens=36, clip=(near, 100))
+        found = make_gbuffer(Surfaces(scene), camera, None, (0.5, 0.5), 0, 0)
+        # 36 mm of sensor over 36 mm of lens: at 5 m the image is 5 m wide
+        assert found.footprint[12 * 36 + 18] == pytest.approx(5 / 36, rel=1e-2)
+
+
+def test_texels_are_mixed_as_cycles_mixes_them():
+    image = np.zeros((1, 2, 3), np.float32)
+    image[0, 1] = 1
+    for encoded, middle in ((False, 0.5), (True, 0.21404)):
+        texture = Texture(image, np.ones(3), np.zeros(3), "EXTEND", True, None, encoded)
+        scene = shapes.scene((*shapes.quad((0, 0, 0), (1, 0, 0), (0, 1, 0)), 0))
+        scene.texture_uv = scene.positions[scene.triangles][..., :2].astype(np.float32)
+        at = np.full(1, 0.5, np.float32)
+        # halfway along the diagonal that both triangles share
+        assert Looks(scene, {0: texture}).albedo(np.zeros(1, np.int32), 0 * at, at) == pytest.approx(middle, abs=2e-3)
 
 
 def test_occlusion_beside_a_long_wall():
@@ -243,6 +268,18 @@ def test_a_bake_is_read_where_there_is_one():
     assert preview.image()[..., :3] == pytest.approx(0.5 * 4, rel=1e-4)
     assert preview.image("Diffuse Indirect") == pytest.approx(1.0, rel=1e-4)
     assert (preview.image("AO") == 1).all()
+
+
+def test_a_bake_is_not_read_on_the_back_of_a_sheet_nor_on_strips_finer_than_its_texels():
+    sheet = (*shapes.quad((0, 0, 0), (1, 0, 0), (0, 1, 0)), 0)
+    strip = (*shapes.quad((2, 0, 0), (1, 0, 0), (0, 1, 0)), 0)
+    made = shapes.scene(sheet, strip)
+    made.atlas_uv[2:] = [[[0.9, 0.1], [0.901, 0.1], [0.901, 0.9]], [[0.9, 0.1], [0.901, 0.9], [0.9, 0.9]]]
+    surfaces = Surfaces(made)
+    assert surfaces.strip_width[2:] == pytest.approx(0.001, rel=0.01)
+    bake, facing = BakedLight(surfaces, Baked(np.ones((64, 64, 3), np.float32))), surfaces.flat
+    assert bake.holds(np.arange(4), facing).tolist() == [True, True, False, False]
+    assert not bake.holds(np.arange(4), -facing).any()
 
 
 def test_light_through_glass_counts_once():
