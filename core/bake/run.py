@@ -21,11 +21,18 @@ from .kept import Cancelled, Kept
 from .record import Bake, point_arrays
 from .steps import Prepared, in_time, prepare
 from .stored import Stored, bake_points, spread_to_texels
+from .verdict import judge
 
 MISSED = 1.5
 """Error over the one asked for from which on the user is told."""
 
-PARTS = {"panes": "in the panes", "gather noise": "noise", "points": "between points"}
+PARTS = {
+    "panes": "in the panes",
+    "gather noise": "noise",
+    "points": "between points",
+    "entries": "in the size of the entries",
+    "lamps": "in how few places of an entry see a lamp",
+}
 """Where the parts of an error are, in words."""
 
 
@@ -91,11 +98,20 @@ def _bake(scene, settings, clock, kept):
         parts["gather noise"] = gather_noise(made, seed)
     else:
         parts["points"] = interpolation_error(made, stored, seed)
+    rows = np.arange(len(made.exits)) if not at_points else np.flatnonzero(~stored.texels.orphan)
+    if at_points and not len(made.exits):
+        rows = np.flatnonzero(~stored.vertices.orphan)
+    verdict = judge(made, panes, rows, seed) if made.test_lamps else None
+    # without live lamps, or where none lights anything
+    error, worst = float(np.sqrt(sum(part**2 for part in parts.values()))), None
+    if verdict is not None:
+        parts |= {"entries": verdict.entries, "lamps": verdict.lamps}
+        error, worst = verdict.error, verdict.worst
     clock.stop()
-    error = float(np.sqrt(sum(part**2 for part in parts.values())))
     warnings = made.warnings + (_late(made, settings, clock) or _missed(made, settings, error, parts))
     report = {
         "error": error,
+        "error_95": worst,
         "error_parts": parts,
         "skipped": {} if made.test_direct is not None else {"panes": "no lamp is live"},
         "error_target": settings.error_target,

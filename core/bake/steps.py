@@ -8,14 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..caustics import casters
-from ..panes.entry_light import EntrySurface
+from ..panes.entry_light import EntryLight, EntrySurface
+from ..panes.held_out import held_out_lamps
 from ..panes.modes import Modes, learn_modes, training_fields
 from ..panes.regions import features, make_regions, nearest, rooms, signature, split_regions, starts_of
 from ..panes.training import illuminate, training_lamps
 from ..panes.weights import PaneWeights, make_weights
 from ..planner import Budget, Settings, Took, fit, limit_rays, needs_panes, part_of, plan, uses_points
 from ..rays import Bvh, Tracer
-from ..scene import Scene
+from ..scene import Light, Scene
 from ..surface import Patches, SurfaceSamples, Texels, Vertices, make_patches, make_texels, make_vertices
 from ..transfer import Entries, Gatherer, Transport, find_entries, make_gatherer, make_piece_gatherer, make_transport
 from ..transfer.entries import MAX_ALBEDO, PLACES
@@ -32,8 +33,8 @@ KEPT_BACK = 0.85
 GUIDES = 16
 """Training lamps that steer the points' density."""
 
-TEST_LAMPS = 24
-"""Held-out lamps that measure the panes' error at the end of a bake."""
+TEST_LAMPS = 12
+"""Held-out lamps that measure the error at the end of a bake; three at a time take red, green and blue."""
 
 
 @dataclass
@@ -45,8 +46,9 @@ class Prepared:
     is_buried: tells of places whether they lie inside solid things; buried: how many texels were found to. tables:
     (regions, ids, c) what a ray that lands on an id brings: the region's modes, then, where the scene has light that no
     live lamp changes, its bounces (3) and, where sky or faces shine, their first hit (3). guide: (1, ids, c) radiosity
-    of a few lamps, None where texels are the exits. test_direct: (n, TEST_LAMPS) irradiance of held-out lamps, None
-    where no lamp is live. kept: parts that were finished before.
+    of a few lamps, None where texels are the exits. test_lamps: held-out ones, of unit power, and test_direct: (n, l) the
+    irradiance of each at the entries, seen from all places; none where no lamp is live. kept: parts that were finished
+    before.
     """
 
     scene: Scene
@@ -67,6 +69,7 @@ class Prepared:
     tables: np.ndarray
     guide: np.ndarray | None
     is_buried: Callable[[SurfaceSamples], np.ndarray]
+    test_lamps: list[Light]
     test_direct: np.ndarray | None
     buried: int
     warnings: list[str]
@@ -173,10 +176,10 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
             "lamps",
             lambda: illuminate(lamps, places, PLACES, tracer, seed, lambda n: clock.tick(n, n * len(entries))),
         )
-        # three at a time stand for red, green and blue
-        test = training_lamps(scene, places, gatherer, TEST_LAMPS + 3, seed + 1006)
-        test = test[len(test) % 3 :]
-        test_direct = illuminate(test, places, PLACES, tracer, seed + 1000)
+        test = held_out_lamps(scene, places, gatherer, TEST_LAMPS, seed + 1006)
+        test = [replace(lamp, power=np.ones(3)) for lamp in test[: len(test) // 3 * 3]]
+        eyes = EntryLight(surface, tracer, seed, few=PLACES)
+        test_direct = np.stack([_grey(eyes.unit(lamp)) for lamp in test], 1)
 
         clock.start("Panes", 4)
         radiosity, field = training_fields(entries, transport, direct)
@@ -193,7 +196,7 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
         weights = make_weights(entries, transport, modes, room, direct[:, ::8])
         clock.tick(1, 0)
     else:
-        modes, weights, test_direct = *no_panes(entries), None
+        modes, weights, test, test_direct = *no_panes(entries), [], None
     static = static_light(scene, surface, tracer, seed)
     arriving = static
     if static is not None and surfaces.focuses:
@@ -215,7 +218,7 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
         guide[0, : len(entries)] = some
     made = Prepared(
         scene, budget, patches, bvh, tracer, entries, gatherer, transport, places, surface, modes, weights,
-        texels, None, vertices, tables, guide, is_buried, test_direct, int(buried.sum()), warnings, kept,
+        texels, None, vertices, tables, guide, is_buried, test, test_direct, int(buried.sum()), warnings, kept,
     )  # fmt: skip
     if not at_points:
         own = own_region(made, texels.samples)
@@ -231,6 +234,11 @@ def in_time(made: Prepared, settings: Settings, clock: Clock, rays: str, places:
         clock.stop()
         rate = clock.traced["Transport"] / max(clock.seconds["Transport"], 1e-3)
         made.budget = limit_rays(made.budget, rays, places, rate, KEPT_BACK * time_left(settings, clock))
+
+
+def _grey(values):
+    """(n,) of (n,) or (n, 3)."""
+    return values if values.ndim == 1 else values.mean(axis=1)
 
 
 def _nothing(samples: SurfaceSamples) -> np.ndarray:
