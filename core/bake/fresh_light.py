@@ -15,7 +15,6 @@ from ..lights import irradiance
 from ..panes.exits import gather_panes
 from ..rays import chunks
 from ..sampling import cosine_hemisphere, hammersley_points, hash_uniform
-from ..scene import Light
 from ..surface import SurfaceSamples, sample_triangles, surface_colour
 from ..threads import in_threads
 from ..transfer.entries import MAX_ALBEDO
@@ -49,10 +48,9 @@ def even_light(made: Prepared, places: SurfaceSamples, fields: EntryFields, rays
     return found.reshape(len(places), *fields.radiosity.shape[1:])
 
 
-def uneven_light(
-    made: Prepared, places: SurfaceSamples, lamps: list[Light], fields: EntryFields, rays: int, seed: int
-) -> np.ndarray:
+def uneven_light(made: Prepared, places: SurfaceSamples, fields: EntryFields, rays: int, seed: int) -> np.ndarray:
     """(n, l, 3) float32: what paths bring more, W/m², than if every entry shone evenly."""
+    lamps = made.test_lamps
     result = np.empty((len(places), len(lamps), 3), np.float32)
     lattice = hammersley_points(rays, seed)
     tracer, gatherer, entries, patches = made.tracer.alone(), made.gatherer, made.entries, made.patches

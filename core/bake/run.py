@@ -10,7 +10,7 @@ import numpy as np
 from ..panes import Panes
 from ..panes.exits import gather_panes, joined, smooth_panes
 from ..panes.regions import region_of
-from ..planner import Settings
+from ..planner import Settings, more_points
 from ..point_cache import Weights
 from ..rays import CHUNK
 from ..scene import Scene
@@ -19,9 +19,10 @@ from .check import compression_error, gather_noise, interpolation_error
 from .clock import Clock, Progress
 from .kept import Cancelled, Kept
 from .record import Bake, point_arrays
-from .steps import Prepared, in_time, prepare
+from .rounds import settle
+from .steps import Prepared, in_time
 from .stored import Stored, bake_points, spread_to_texels
-from .verdict import judge
+from .verdict import Verdict, judge, shown_by_points, shown_by_texels
 
 MISSED = 1.5
 """Error over the one asked for from which on the user is told."""
@@ -70,9 +71,10 @@ def bake(
 
 
 def _bake(scene, settings, clock, kept):
+    settled = kept.part("prepared", lambda: settle(scene, settings, clock, kept))
     # a copy: what follows changes it
-    made = replace(kept.part("prepared", lambda: prepare(scene, settings, clock, kept)))
-    kept.drop("transport", "lamps")
+    made = replace(settled.made)
+    kept.drop(f"transport {made.budget.entries}", f"lamps {made.budget.entries}")
     seed = settings.seed
     parts = {}
     if made.test_direct is not None:
@@ -82,7 +84,7 @@ def _bake(scene, settings, clock, kept):
         )
     at_points = made.starts is None and settings.exits != "atlas"
     if at_points:
-        stored = bake_points(made, settings, clock)
+        stored, verdict = _enough_points(made, settings, settled.bound, clock)
         panes, first_hit = _at_points(made, stored)
     elif made.starts is None:
         wanted = len(made.exits)
@@ -94,20 +96,23 @@ def _bake(scene, settings, clock, kept):
         panes, first_hit = _at_texels(made, settings, clock)
 
     clock.start("Check")
+    if not at_points:
+        verdict = judge(made, np.arange(len(made.exits)), seed, shown_by_texels(made, panes.rows, panes.starts))
     if stored is None:
-        parts["gather noise"] = gather_noise(made, seed)
-    else:
+        parts["gather noise"] = gather_noise(made, seed) if verdict is None else verdict.noise
+    elif verdict is None:
         parts["points"] = interpolation_error(made, stored, seed)
-    rows = np.arange(len(made.exits)) if not at_points else np.flatnonzero(~stored.texels.orphan)
-    if at_points and not len(made.exits):
-        rows = np.flatnonzero(~stored.vertices.orphan)
-    verdict = judge(made, panes, rows, seed) if made.test_lamps else None
+    clock.stop()
     # without live lamps, or where none lights anything
     error, worst = float(np.sqrt(sum(part**2 for part in parts.values()))), None
     if verdict is not None:
-        parts |= {"entries": verdict.entries, "lamps": verdict.lamps}
         error, worst = verdict.error, verdict.worst
-    clock.stop()
+        if stored is None:
+            # what the noise does not explain: light that texels can have and entries cannot
+            parts["panes"] = float(np.sqrt(max(verdict.shown**2 - parts["gather noise"] ** 2, parts["panes"] ** 2)))
+        else:
+            parts["points"] = float(np.sqrt(max(verdict.shown**2 - parts["panes"] ** 2, 0.0)))
+        parts |= {"entries": verdict.entries, "lamps": verdict.lamps}
     warnings = made.warnings + (_late(made, settings, clock) or _missed(made, settings, error, parts))
     report = {
         "error": error,
@@ -115,6 +120,8 @@ def _bake(scene, settings, clock, kept):
         "error_parts": parts,
         "skipped": {} if made.test_direct is not None else {"panes": "no lamp is live"},
         "error_target": settings.error_target,
+        "bound": settled.bound,
+        "rounds": [{"entries": j.budget.entries, "error": j.error} for j in settled.judged],
         "seconds": round(clock.spent, 3),
         "earlier_seconds": round(clock.earlier, 3),
         "stages": clock.seconds,
@@ -141,6 +148,22 @@ def _bake(scene, settings, clock, kept):
     if clock.progress is not None:
         clock.progress(Progress("Done", 1.0, clock.rays))
     return result
+
+
+def _enough_points(made: Prepared, settings: Settings, bound: str, clock: Clock) -> tuple[Stored, Verdict | None]:
+    """Exits at points, more of them until the error is what was asked for, and what it is."""
+    while True:
+        stored = bake_points(made, settings, clock)
+        clock.start("Check")
+        orphan = (stored.texels if len(made.exits) else stored.vertices).orphan
+        verdict = judge(made, np.flatnonzero(~orphan), settings.seed, shown_by_points(made, stored))
+        clock.stop()
+        if verdict is None or bound in ("given", "time") or settings.time_budget:
+            return stored, verdict
+        better = more_points(settings, made.budget, verdict.error, verdict.shown)
+        if better is None:
+            return stored, verdict
+        made.budget = better
 
 
 def _late(made: Prepared, settings: Settings, clock: Clock) -> list[str]:

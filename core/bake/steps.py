@@ -14,7 +14,7 @@ from ..panes.modes import Modes, learn_modes, training_fields
 from ..panes.regions import features, make_regions, nearest, rooms, signature, split_regions, starts_of
 from ..panes.training import illuminate, training_lamps
 from ..panes.weights import PaneWeights, make_weights
-from ..planner import Budget, Settings, Took, fit, limit_rays, needs_panes, part_of, plan, uses_points
+from ..planner import Budget, Settings, limit_rays, needs_panes, plan, uses_points
 from ..rays import Bvh, Tracer
 from ..scene import Light, Scene
 from ..surface import Patches, SurfaceSamples, Texels, Vertices, make_patches, make_texels, make_vertices
@@ -99,42 +99,21 @@ class Surfaces:
 
 
 def prepare(scene: Scene, settings: Settings, clock: Clock | None = None, kept: Kept | None = None) -> Prepared:
-    """Run all stages up to the exits' gather, but for parts that are `kept`. Raises SceneError for scenes that cannot
-    be baked.
+    """Run all stages up to the exits' gather, but for parts that are `kept`, with the budgets that the planner begins
+    with. Raises SceneError for scenes that cannot be baked."""
+    clock, budget = clock or Clock(), plan(scene, settings)
+    return prepare_with(find_surfaces(scene, settings, clock), settings, budget, clock, kept or Kept())
 
-    Under a time budget they run with the least budget first, which tells what fits into the time that is left.
-    """
-    clock, kept = clock or Clock(), kept or Kept()
-    budget = plan(scene, settings)
+
+def find_surfaces(scene: Scene, settings: Settings, clock: Clock) -> Surfaces:
+    """The surfaces, and whether exits are points. Raises SceneError for scenes that cannot be baked."""
     clock.start("Surfaces")
     texels, vertices = make_texels(scene, settings.resolution), make_vertices(scene)
-    at_points = uses_points(settings, budget, len(texels), len(vertices))
+    at_points = uses_points(settings, plan(scene, settings), len(texels), len(vertices))
     focusing = casters(scene)
     # what focuses a lamp's light casts a shadow of it
     tracer = Tracer(scene, solid=None if focusing is None else focusing.triangles)
-    surfaces = Surfaces(scene, texels, vertices, tracer, at_points, settings.resolution, focusing is not None)
-    if not settings.time_budget:
-        return _prepare(surfaces, settings, budget, clock, kept)
-    least = part_of(budget, settings, 0.0)
-    clock.start("Pilot")
-    pilot = clock.pilot()
-    made = _prepare(surfaces, settings, least, pilot, Kept())
-    pilot.stop()
-    # the hurried bake may be the whole one
-    clock.seconds |= pilot.seconds
-    clock.traced |= pilot.traced
-    took = Took(
-        replace(least, entries=len(made.entries)),
-        *(pilot.seconds.get(stage, 0.0) for stage in ("Entries", "Transport", "Lamps", "Panes")),
-        pilot.traced["Transport"],
-    )
-    better = fit(budget, settings, took, 0 if at_points else len(texels), KEPT_BACK * time_left(settings, clock))
-    clock.stop()
-    if better is not None:
-        made = _prepare(surfaces, settings, better, clock, kept)
-    # how many there is time for is known once their turn comes
-    made.budget = replace(made.budget, exit_rays=budget.exit_rays, point_rays=budget.point_rays)
-    return made
+    return Surfaces(scene, texels, vertices, tracer, at_points, settings.resolution, focusing is not None)
 
 
 def time_left(settings: Settings, clock: Clock) -> float:
@@ -142,8 +121,18 @@ def time_left(settings: Settings, clock: Clock) -> float:
     return settings.time_budget - clock.ahead - clock.spent
 
 
-def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Clock, kept: Kept) -> Prepared:
-    """The stages after the surfaces', with a budget."""
+def prepare_with(
+    surfaces: Surfaces,
+    settings: Settings,
+    budget: Budget,
+    clock: Clock,
+    kept: Kept,
+    judges: list[Light] | None = None,
+) -> Prepared:
+    """The stages after the surfaces', with a budget. What is kept goes by the number of entries asked for.
+
+    judges: held-out lamps, None for some that are drawn here.
+    """
     scene, seed, at_points = surfaces.scene, settings.seed, surfaces.at_points
     texels, vertices, tracer = surfaces.texels, surfaces.vertices, surfaces.tracer
     warnings = list(scene.warnings)
@@ -165,7 +154,7 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
 
     clock.start("Transport", len(entries) * budget.entry_rays)
-    transport = kept.part("transport", lambda: make_transport(entries, gatherer, budget.entry_rays, seed, clock.tick))
+    transport = kept.part(f"transport {budget.entries}", lambda: make_transport(entries, gatherer, budget.entry_rays, seed, clock.tick))
 
     places = entries.places
     surface = EntrySurface.of(entries, patches, places, tracer.offset)
@@ -173,13 +162,13 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
         lamps = training_lamps(scene, places, gatherer, budget.lamps, seed + 6)
         clock.start("Lamps", len(lamps))
         direct = kept.part(
-            "lamps",
+            f"lamps {budget.entries}",
             lambda: illuminate(lamps, places, PLACES, tracer, seed, lambda n: clock.tick(n, n * len(entries))),
         )
-        test = held_out_lamps(scene, places, gatherer, TEST_LAMPS, seed + 1006)
+        test = held_out_lamps(scene, places, gatherer, TEST_LAMPS, seed + 1006) if judges is None else judges
         test = [replace(lamp, power=np.ones(3)) for lamp in test[: len(test) // 3 * 3]]
         eyes = EntryLight(surface, tracer, seed, few=PLACES)
-        test_direct = np.stack([_grey(eyes.unit(lamp)) for lamp in test], 1)
+        test_direct = np.stack([grey(eyes.unit(lamp)) for lamp in test], 1)
 
         clock.start("Panes", 4)
         radiosity, field = training_fields(entries, transport, direct)
@@ -236,7 +225,7 @@ def in_time(made: Prepared, settings: Settings, clock: Clock, rays: str, places:
         made.budget = limit_rays(made.budget, rays, places, rate, KEPT_BACK * time_left(settings, clock))
 
 
-def _grey(values):
+def grey(values: np.ndarray) -> np.ndarray:
     """(n,) of (n,) or (n, 3)."""
     return values if values.ndim == 1 else values.mean(axis=1)
 

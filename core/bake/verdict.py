@@ -7,20 +7,22 @@ tell what to spend more on.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..panes import Panes, Relighter
 from ..panes.entry_light import EntryLight
-from ..transfer.entries import PLACES
+from ..panes.exits import gather_panes
+from ..panes.regions import region_of, starts_of
 from .fresh_light import entry_fields, even_light, uneven_light
-from .steps import Prepared
+from .steps import Prepared, grey, own_region
+from .stored import Stored
 
-BLOCKS = 320
-"""Blocks of 4×4 texels that are looked at, about; single vertices where no object has texels: 16 times as many."""
+BLOCKS = 256
+"""Blocks of 4×4 texels that are looked at, about; single vertices where no object has texels, 16 times as many."""
 
-EVEN_RAYS = 384
+EVEN_RAYS = 256
 """Rays of a texel in each half, for the light of even entries."""
 
 PATHS = 12
@@ -29,109 +31,150 @@ PATHS = 12
 DARK = 1e-6
 """Lamps that light less than this part of what the brightest one does count for nothing."""
 
+Show = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""(places (n,), pane weights (regions, panes, s) float32) → (n, s) float32 irradiance that a bake shows there."""
+
 
 @dataclass(frozen=True)
 class Verdict:
-    """Relative errors of what the bake shows under lamps held out of its training (panes/held_out.py).
+    """Relative errors of what a bake shows under lamps held out of its training (panes/held_out.py).
 
-    error: RMSE over RGB divided by the mean, on blocks of 4×4 texels; mean over the lamps. worst: of the blocks' own RMS
+    error: RMSE over RGB divided by the mean, on blocks of 4×4 texels; mean over the lamps, of
+    which `each` (l,) has its own. worst: of the blocks' own RMS
     errors the 95th percentile. entries: the part of `error` that comes from light leaving entries evenly. lamps: that of
-    seeing them from few places of an entry. places: (b, 3) float32 m, normals: (b, 3), and squares: (b,) float32, the
-    blocks and the squares of their errors, as far as noise lets know them.
+    seeing lamps from few places of an entry. shown: all that panes, the gather's noise and points add; noise: that of
+    exits at texels alone. places: (b, 3) float32 m, normals: (b, 3), and squares: (b,) float32, the blocks and the squares
+    of their errors, as far as noise lets know them.
     """
 
     error: float
+    each: np.ndarray
     worst: float
     entries: float
     lamps: float
+    shown: float
+    noise: float
     places: np.ndarray
     normals: np.ndarray
     squares: np.ndarray
 
 
-def judge(made: Prepared, panes: Panes, rows: np.ndarray, seed: int) -> Verdict | None:
-    """The error of what `panes` show; None where no held-out lamp lights anything.
+def judge(made: Prepared, rows: np.ndarray, seed: int, show: Show | None = None) -> Verdict | None:
+    """The error of what is shown at some of `rows`; None where no held-out lamp lights anything.
 
-    rows: of `made.exits`, the texels with light of their own; of `made.vertices` where no object has texels.
+    show: None for what exits at texels would show, gathered for the places that are looked at alone.
+
+    rows: of `made.exits`, texels with light of their own; of `made.vertices` where no object has texels.
     """
-    at_texels = len(made.exits) > 0
-    lamps = made.test_lamps
-    shown, closely = _shown(made, panes, seed)
-    source = made.exits if at_texels else made.vertices
     chosen, block = _some(made, rows, seed)
-    if not len(chosen):
+    if not len(chosen) or not made.test_lamps:
         return None
-    index = made.exits.index if at_texels else np.arange(len(made.vertices))
-    level = shown[index[rows]].mean(axis=(0, 2), dtype=np.float64)
+    lamps = len(made.test_lamps)
+    eyes = EntryLight(made.surface, made.tracer, seed)
+    few = np.stack([grey(eyes.unit(lamp)) for lamp in made.test_lamps], 1)
+    value = np.concatenate([_weights(made, few), _weights(made, made.test_direct)], 2)
+    # of exits at texels, two gathers tell the noise
+    gathered = [_gathered(made, chosen, value, seed + k) for k in (43, 44)] if show is None or made.starts is not None else []
+    seen = (gathered[0] if show is None else show(chosen, value)).reshape(len(chosen), 2, lamps, 3)
+    level = np.abs(seen[:, 0].mean(axis=(0, 2), dtype=np.float64))
     lit = level > DARK * level.max(initial=0)
     if not lit.any():
         return None
-    some = source.samples.take(chosen)
+    some = (made.exits if len(made.exits) else made.vertices).samples.take(chosen)
     fields = entry_fields(made, made.test_direct)
     count = np.bincount(block)
+    order = np.argsort(block, kind="stable")
+    starts = np.cumsum(count) - count
 
     def mean(values):
-        """(b, l, 3) means over blocks of values (n, l, 3), relative to the lamps' mean."""
-        sums = np.zeros((len(count), *values.shape[1:]))
-        np.add.at(sums, block, values)
+        """(b, l, 3) float64 means over blocks of values (n, l, 3), relative to the lamps' mean."""
+        sums = np.add.reduceat(values[order], starts, axis=0, dtype=np.float64)
         return (sums / count[:, None, None])[:, lit] / level[lit, None]
 
-    def relative(square):
-        """Mean over lamps of the root of squares (b, l, 3)."""
+    def each(square):
+        """(l,) root of the mean squares (b, l, 3) of each lamp."""
         found = np.einsum("b,blc->l", count / count.sum(), square) / 3
-        return float(np.sqrt(np.maximum(found, 0)).mean())
+        return np.sqrt(np.maximum(found, 0))
 
-    found = mean(shown[index[chosen]])
-    more = [mean(uneven_light(made, some, lamps, fields, PATHS, seed + salt)) for salt in (81, 82)]
-    fresh = [mean(even_light(made, some, fields, EVEN_RAYS, seed + salt)) for salt in (71, 72)]
-    first, second = (found - even - extra for even, extra in zip(fresh, more, strict=True))
+    def relative(square):
+        """Mean over lamps."""
+        return float(each(square).mean())
+
+    found, closely = mean(seen[:, 0]), mean(seen[:, 1])
+    more = [mean(uneven_light(made, some, fields, PATHS, seed + salt)) for salt in (81, 82)]
+    even = [mean(even_light(made, some, fields, EVEN_RAYS, seed + salt)) for salt in (71, 72)]
+    first, second = (found - e - m for e, m in zip(even, more, strict=True))
     squares = _quiet((first * second).mean(axis=(1, 2)), ((first - second) ** 2).mean(axis=(1, 2)))
-    at = np.unique(block, return_index=True)[1]
+    at = order[starts]
     return Verdict(
         error=relative(first * second),
+        each=each(first * second),
         worst=float(np.sqrt(np.quantile(squares, 0.95))),
         entries=relative(more[0] * more[1]),
-        lamps=relative((found - mean(closely[index[chosen]])) ** 2),
+        lamps=relative((found - closely) ** 2),
+        shown=relative((closely - even[0]) * (closely - even[1])),
+        noise=relative(0.5 * mean(_few(gathered[0] - gathered[1], lamps)) ** 2) if gathered else 0.0,
         places=some.position[at],
         normals=some.flat[at],
         squares=squares.astype(np.float32),
     )
 
 
-def _shown(made, panes, seed):
-    """Two (places, l, 3) float32: what the lamps show, each alone, and what they would if every entry saw them from all of
-    its places."""
-    relighter = Relighter(panes, made.tracer, seed)
-    few, all_places = relighter.entry_light, EntryLight(panes.surface, made.tracer, seed, few=PLACES)
+def shown_by_texels(made: Prepared, rows: np.ndarray, starts: np.ndarray) -> Show:
+    """What exits at texels show. rows: (t, c) panes, sorted by region; starts: (regions + 1,)."""
+    region = region_of(starts)
+    return lambda chosen, value: _blend(made, rows[chosen], region[chosen], value)
 
-    def values(lights):
-        light = relighter.light(lights)
-        if not len(made.exits):
-            return relighter.vertices(light)
-        return relighter.image(light)[..., :3].reshape(-1, 3).copy()
 
-    steady = values(())
-    result = []
-    for eyes in (few, all_places):
-        relighter.entry_light = eyes
-        # without lamps in between nothing is remembered
-        values(())
-        result.append(np.stack([values((lamp,)) - steady for lamp in made.test_lamps], 1))
+def shown_by_points(made: Prepared, stored: Stored) -> Show:
+    """What stored points show at texels, or at vertices where there are none."""
+    served = stored.texels if len(made.exits) else stored.vertices
+    region = region_of(stored.starts)
+    return lambda chosen, value: served.take(chosen).apply(_blend(made, stored.rows, region, value))
+
+
+def _few(values, lamps):
+    return values.reshape(len(values), 2, lamps, 3)[:, 0]
+
+
+def _gathered(made, chosen, value, seed):
+    """(n, s) float32 of what exits at the chosen places would show."""
+    samples = (made.exits if len(made.exits) else made.vertices).samples.take(chosen)
+    region = own_region(made, samples)
+    order = np.argsort(region, kind="stable")
+    starts = starts_of(region[order], made.modes.regions)
+    rows = gather_panes(made.gatherer, samples.take(order), starts, made.tables, made.budget.exit_rays, seed)
+    found = np.empty((len(chosen), value.shape[2]), np.float32)
+    found[order] = _blend(made, rows, region[order], value)
+    return found
+
+
+def _weights(made, direct):
+    """(regions, panes, 3 l) float32 pane weights of white lamps with irradiance (n, l)."""
+    found = [made.weights.of(np.repeat(direct[:, k : k + 1], 3, axis=1)) for k in range(direct.shape[1])]
+    return np.concatenate(found, 1).reshape(made.modes.regions, made.modes.panes, -1)
+
+
+def _blend(made, rows, region, value):
+    """(n, s) float32 of rows (n, c) in the panes of regions (n,)."""
+    result = np.empty((len(rows), value.shape[2]), np.float32)
+    for r in np.unique(region):
+        own = np.flatnonzero(region == r)
+        result[own] = rows[own, : made.modes.panes] @ value[r]
     return result
 
 
 def _some(made, rows, seed):
-    """(n,) of `rows` that make up some blocks, and (n,) the block of each; blocks spread evenly over the rows' order."""
+    """(n,) of `rows` that make up some blocks, and (n,) the block of each; spread evenly over the atlas."""
     if not len(made.exits):
         chosen = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), 16 * BLOCKS)).astype(np.int64))
         return rows[chosen], np.arange(len(chosen))
     size, index = made.exits.resolution, made.exits.index[rows]
-    names, first, block = np.unique(index // size // 4 * size + index % size // 4, return_index=True, return_inverse=True)
+    names, block = np.unique(index // size // 4 * size + index % size // 4, return_inverse=True)
+    many = min(BLOCKS, len(names))
     start = np.random.default_rng(seed).random()
-    pick = (np.arange(min(BLOCKS, len(names))) + start) * len(names) / min(BLOCKS, len(names))
     number = np.full(len(names), -1)
-    # in the order of their first rows, which are sorted by region
-    number[np.argsort(first, kind="stable")[pick.astype(np.int64)]] = np.arange(len(pick))
+    number[((np.arange(many) + start) * len(names) / many).astype(np.int64)] = np.arange(many)
     own = number[block]
     order = np.argsort(own, kind="stable")
     order = order[own[order] >= 0]

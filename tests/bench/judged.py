@@ -93,13 +93,24 @@ def judge(scene: Scene, result, known: list[Truth]) -> list[metrics.Comparison]:
     """A bake's light against each truth."""
     relighter = Relighter(result.panes(), Tracer(scene))
     steady = relighter.relight(())[..., :3].copy()
+    whole = ~half_buried(scene, result)
     found = []
     for truth in known:
         ours = relighter.relight(truth.lights)[..., :3] - steady
-        mask = truth.reference.mask & result.own
+        mask = truth.reference.mask & result.own & whole
         halves = tuple(truth.reference.halves)
         found.append(metrics.compare(ours, truth.reference.image, mask, reference_halves=halves))
     return found
+
+
+def half_buried(scene: Scene, result) -> np.ndarray:
+    """(H, W) bool: texels beside one that lies inside a thing. Cycles averages over all of a texel, the dark part inside the
+    thing as well; what is seen of it is the other part, and that is what a bake holds."""
+    buried = np.zeros(result.own.shape, bool)
+    buried.reshape(-1)[make_texels(scene, result.resolution).index] = True
+    padded = np.pad(buried & ~result.own, 1)
+    height, width = buried.shape
+    return np.any([padded[dy : dy + height, dx : dx + width] for dy in range(3) for dx in range(3)], axis=0)
 
 
 class _Builder:
