@@ -29,7 +29,7 @@ IN_REGION = 22
 """Entries of a region: its panes are then about two thirds of what would hold any light."""
 
 GOAL = 0.92
-"""Part of the error target that is planned for: no measure is exact."""
+"""Part of the error target that a larger budget aims at: no step hits what it aims at."""
 
 OF_NOISE, OF_POINTS = 0.4, 0.6
 """Parts of the target that the gather's noise, and points, may take; they add up as squares."""
@@ -181,7 +181,7 @@ def refine(settings: Settings, judged: list[Judged], at_points: bool) -> Budget:
     goal = max((GOAL * target) ** 2 - noise**2, (0.3 * target) ** 2) ** 0.5
     size = _beyond_noise(last)
     fine = replace(last.budget, exit_rays=rays)
-    if size <= goal or last.budget.entries >= MOST_ENTRIES:
+    if size**2 + noise**2 <= target**2 or last.budget.entries >= MOST_ENTRIES:
         return _as_given(fine, settings)
     fall = FALL[1]
     if len(judged) > 1:

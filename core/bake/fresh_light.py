@@ -77,7 +77,7 @@ def uneven_light(made: Prepared, places: SurfaceSamples, fields: EntryFields, ra
         more = np.zeros((len(ids), len(lamps), 3), np.float32)
         for column, lamp in enumerate(lamps):
             direct = irradiance(lamp, lifted, landed.normal, tracer.visibility, 1, seed + 5 + column)
-            direct = direct.reshape(len(known), -1)
+            direct = direct[:, None] if direct.ndim == 1 else direct
             more[known, column] = albedo * (direct + fields.arriving[own, column]) - fields.radiosity[own, column]
         result[piece] = more.reshape(len(number), rays, len(lamps), 3).mean(axis=1)
 

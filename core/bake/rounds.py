@@ -43,7 +43,9 @@ def settle(scene: Scene, settings: Settings, clock: Clock, kept: Kept) -> Settle
         return Settled(prepare_with(surfaces, settings, budget, clock, kept), "given", [])
     least = part_of(budget, settings, 0.0)
     if not given:
-        least = replace(least, exit_rays=budget.exit_rays, point_rays=budget.point_rays, points=max(budget.points // 2, 1))
+        least = replace(
+            least, exit_rays=budget.exit_rays, point_rays=budget.point_rays, points=max(budget.points // 2, 1)
+        )
     clock.start("Pilot")
     pilot = clock.pilot()
     made, found = _try(surfaces, settings, least, pilot, Kept() if settings.time_budget else kept)

@@ -17,6 +17,7 @@ from ..scene import Scene
 from ..transfer import Begun
 from .check import compression_error, gather_noise, interpolation_error
 from .clock import Clock, Progress
+from .error_map import encode, error_map
 from .kept import Cancelled, Kept
 from .record import Bake, point_arrays
 from .rounds import settle
@@ -143,7 +144,11 @@ def _bake(scene, settings, clock, kept):
         report["stored_points"] = len(stored.points)
         report |= {"vertices": len(made.vertices), "objects": [item.name for item in scene.objects]}
         points = point_arrays(stored.points, region_of(stored.starts), scene.triangle_object)
-    result = Bake.from_panes(panes, first_hit, {"report": report, "seed": seed}, points)
+    meta = {"report": report, "seed": seed}
+    if verdict is not None and len(made.exits):
+        texels = made.exits if not at_points else made.exits.keep(np.flatnonzero(~stored.texels.orphan))
+        meta["error_map"] = encode(error_map(verdict, texels, scene.extent))
+    result = Bake.from_panes(panes, first_hit, meta, points)
     report["bytes"] = result.bytes
     if clock.progress is not None:
         clock.progress(Progress("Done", 1.0, clock.rays))

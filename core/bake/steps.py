@@ -154,7 +154,9 @@ def prepare_with(
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
 
     clock.start("Transport", len(entries) * budget.entry_rays)
-    transport = kept.part(f"transport {budget.entries}", lambda: make_transport(entries, gatherer, budget.entry_rays, seed, clock.tick))
+    transport = kept.part(
+        f"transport {budget.entries}", lambda: make_transport(entries, gatherer, budget.entry_rays, seed, clock.tick)
+    )
 
     places = entries.places
     surface = EntrySurface.of(entries, patches, places, tracer.offset)

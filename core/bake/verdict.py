@@ -74,7 +74,9 @@ def judge(made: Prepared, rows: np.ndarray, seed: int, show: Show | None = None)
     few = np.stack([grey(eyes.unit(lamp)) for lamp in made.test_lamps], 1)
     value = np.concatenate([_weights(made, few), _weights(made, made.test_direct)], 2)
     # of exits at texels, two gathers tell the noise
-    gathered = [_gathered(made, chosen, value, seed + k) for k in (43, 44)] if show is None or made.starts is not None else []
+    gathered = (
+        [_gathered(made, chosen, value, seed + k) for k in (43, 44)] if show is None or made.starts is not None else []
+    )
     seen = (gathered[0] if show is None else show(chosen, value)).reshape(len(chosen), 2, lamps, 3)
     level = np.abs(seen[:, 0].mean(axis=(0, 2), dtype=np.float64))
     lit = level > DARK * level.max(initial=0)
@@ -104,7 +106,7 @@ def judge(made: Prepared, rows: np.ndarray, seed: int, show: Show | None = None)
     more = [mean(uneven_light(made, some, fields, PATHS, seed + salt)) for salt in (81, 82)]
     even = [mean(even_light(made, some, fields, EVEN_RAYS, seed + salt)) for salt in (71, 72)]
     first, second = (found - e - m for e, m in zip(even, more, strict=True))
-    squares = _quiet((first * second).mean(axis=(1, 2)), ((first - second) ** 2).mean(axis=(1, 2)))
+    squares = _quiet((first * second).mean(axis=(1, 2)), (first**2 - second**2).mean(axis=(1, 2)))
     at = order[starts]
     return Verdict(
         error=relative(first * second),
@@ -181,15 +183,14 @@ def _some(made, rows, seed):
     return rows[order], own[order]
 
 
-def _quiet(squares, noise):
+def _quiet(squares: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """(b,) squares of errors, of estimates (b,) that are right on average but noisy: drawn towards their mean by as much
     of their spread as is noise, and not below nothing.
 
-    noise: (b,) mean squares of the halves' difference. With independent halves of variance v about an error e the product's
-    variance is 2 e² v + v², which the halves' difference, 2 v, tells.
+    noise: (b,) differences of the squares of the halves, a and b. With s and d half their sum and difference, ab = s² − d²
+    and a² − b² = 4sd. With d pure noise and s as noisy about the error, noise makes both vary alike, the latter twice as
+    much.
     """
-    mean = squares.mean()
-    v = 0.5 * noise.mean()
-    spread = squares.var()
-    kept = max(spread - 2 * max(mean, 0) * v - v * v, 0.0) / max(spread, 1e-30)
+    mean, spread = squares.mean(), squares.var()
+    kept = max(spread - 0.25 * (noise**2).mean(), 0.0) / max(spread, 1e-30)
     return np.maximum(mean + kept * (squares - mean), 0)

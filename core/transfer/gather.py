@@ -135,9 +135,7 @@ class Gatherer:
         )
         return bare & (hits.triangle >= 0), hits.distance
 
-    def meet(
-        self, origins: np.ndarray, directions: np.ndarray, flat: np.ndarray | None
-    ) -> tuple[np.ndarray, Hits]:
+    def meet(self, origins: np.ndarray, directions: np.ndarray, flat: np.ndarray | None) -> tuple[np.ndarray, Hits]:
         """Ids (n,) int32 of what rays land on, and where they first hit, which for rays that went on through see-through
         surfaces is not where they landed.
 
