@@ -22,7 +22,6 @@ GERMAN = {
     "Lamp Sampling": "Lampenabtastung",
     "Worst 5 %": "Schlechteste 5 %",
     "Bound By": "Begrenzt durch",
-    "Show Error": "Fehler zeigen",
     "Make an image over the atlas of where the bake is wrong: blue is well below the error that was asked for, green "
     "is that error, red four times it": "Ein Bild über dem Atlas, das zeigt, wo das Backergebnis falsch ist: Blau liegt "
     "weit unter dem verlangten Fehler, Grün ist dieser Fehler, Rot das Vierfache",
@@ -188,6 +187,7 @@ GERMAN = {
 
 # Labels of buttons, which Blender looks up apart.
 GERMAN_BUTTONS = {
+    "Show Error": "Fehler zeigen",
     "Bake": "Backen",
     "Bake Again": "Neu backen",
     "Relight": "Neu beleuchten",
