@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -48,7 +48,7 @@ class Prepared:
     live lamp changes, its bounces (3) and, where sky or faces shine, their first hit (3). guide: (1, ids, c) radiosity
     of a few lamps, None where texels are the exits. test_lamps: held-out ones, of unit power, and test_direct: (n, l) the
     irradiance of each at the entries, seen from all places; none where no lamp is live. kept: parts that were finished
-    before.
+    before. fresh: light gathered anew at the places that were last judged (`verdict.judge`).
     """
 
     scene: Scene
@@ -74,6 +74,7 @@ class Prepared:
     buried: int
     warnings: list[str]
     kept: Kept
+    fresh: dict = field(default_factory=dict)
 
     @property
     def has_steady_light(self) -> bool:

@@ -83,7 +83,6 @@ def judge(made: Prepared, rows: np.ndarray, seed: int, show: Show | None = None)
     if not lit.any():
         return None
     some = (made.exits if len(made.exits) else made.vertices).samples.take(chosen)
-    fields = entry_fields(made, made.test_direct)
     count = np.bincount(block)
     order = np.argsort(block, kind="stable")
     starts = np.cumsum(count) - count
@@ -103,8 +102,7 @@ def judge(made: Prepared, rows: np.ndarray, seed: int, show: Show | None = None)
         return float(each(square).mean())
 
     found, closely = mean(seen[:, 0]), mean(seen[:, 1])
-    more = [mean(uneven_light(made, some, fields, PATHS, seed + salt)) for salt in (81, 82)]
-    even = [mean(even_light(made, some, fields, EVEN_RAYS, seed + salt)) for salt in (71, 72)]
+    even, more = ([mean(values) for values in halves] for halves in _fresh(made, some, chosen, seed))
     first, second = (found - e - m for e, m in zip(even, more, strict=True))
     squares = _quiet((first * second).mean(axis=(1, 2)), (first**2 - second**2).mean(axis=(1, 2)))
     at = order[starts]
@@ -120,6 +118,20 @@ def judge(made: Prepared, rows: np.ndarray, seed: int, show: Show | None = None)
         normals=some.flat[at],
         squares=squares.astype(np.float32),
     )
+
+
+def _fresh(made, places, chosen, seed):
+    """Two halves of what even entries shine on places, and two of what others bring more; remembered, for the last trial
+    is the whole bake's beginning."""
+    key = chosen.tobytes(), seed
+    if key not in made.fresh:
+        fields = entry_fields(made, made.test_direct)
+        made.fresh.clear()
+        made.fresh[key] = (
+            [even_light(made, places, fields, EVEN_RAYS, seed + salt) for salt in (71, 72)],
+            [uneven_light(made, places, fields, PATHS, seed + salt) for salt in (81, 82)],
+        )
+    return made.fresh[key]
 
 
 def shown_by_texels(made: Prepared, rows: np.ndarray, starts: np.ndarray) -> Show:

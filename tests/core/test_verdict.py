@@ -14,14 +14,23 @@ from lightpanes.core.panes.held_out import CLEAR, REACH, held_out_lamps
 from lightpanes.core.panes.training import room_around
 from lightpanes.core.planner import MOST_ENTRIES, Judged, Settings, more_points, plan, refine, sized
 from lightpanes.core.threads import use_threads
+from lightpanes.tests.frugal import save_rays
 
 from .shapes import lamp, quick, room
 
-pytestmark = pytest.mark.usefixtures("frugal")
+pytestmark = pytest.mark.usefixtures("exact")
 
 
 @pytest.fixture(scope="module")
-def made(frugal):
+def exact():
+    """Bakes save rays, but not on the measure of their error."""
+    with pytest.MonkeyPatch.context() as patch:
+        save_rays(patch, judge=True)
+        yield
+
+
+@pytest.fixture(scope="module")
+def made(exact):
     return prepare(room(lights=[lamp((3, 1.5, 2)), lamp((1, 1, 2), kind="SUN")]), quick())
 
 
@@ -90,11 +99,14 @@ def test_parts_tell_where_an_error_is(made, truth):
 
 
 def test_a_verdict_does_not_depend_on_threads(made):
+    # or it would remember
+    made.fresh.clear()
     try:
         use_threads(1)
         alone = verdict.judge(made, np.arange(len(made.exits)), 0)
     finally:
         use_threads(0)
+    made.fresh.clear()
     both = verdict.judge(made, np.arange(len(made.exits)), 0)
     assert alone.error == both.error and np.array_equal(alone.squares, both.squares)
 
