@@ -95,6 +95,10 @@ class Clock:
             self.traced[self._stage] = self.traced.get(self._stage, 0) + self.rays - self._rays_before
             self._stage = ""
 
+    def pulse(self, _rays: int) -> None:
+        """Something goes on, of which nothing is counted; the time to cancel it."""
+        self.tick(0, 0)
+
     def tick(self, steps: int, rays: int | None = None) -> None:
         """Steps done since the last tick; they are rays unless said otherwise."""
         self.rays += steps if rays is None else rays

@@ -7,6 +7,7 @@ really land. Later bounces are softer, and tracing those as well brought nothing
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,10 +42,17 @@ def entry_fields(made: Prepared, direct: np.ndarray) -> EntryFields:
     return EntryFields(radiosity.reshape(-1, lamps, 3), arriving)
 
 
-def even_light(made: Prepared, places: SurfaceSamples, fields: EntryFields, rays: int, seed: int) -> np.ndarray:
+def even_light(
+    made: Prepared,
+    places: SurfaceSamples,
+    fields: EntryFields,
+    rays: int,
+    seed: int,
+    tick: Callable[[int], None] | None = None,
+) -> np.ndarray:
     """(n, l, 3) float32 indirect irradiance of places, W/m², were every entry to shine evenly."""
     table = fields.radiosity.reshape(1, len(fields.radiosity), -1)
-    found = gather_panes(made.gatherer, places, np.array([0, len(places)]), table, rays, seed)
+    found = gather_panes(made.gatherer, places, np.array([0, len(places)]), table, rays, seed, tick)
     return found.reshape(len(places), *fields.radiosity.shape[1:])
 
 

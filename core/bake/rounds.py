@@ -107,7 +107,7 @@ def _try(
     if made.starts is None:
         # those inside solid things tell nothing
         rows = rows[~made.is_buried((made.exits if len(made.exits) else made.vertices).samples)]
-    verdict = judge(made, rows, settings.seed)
+    verdict = judge(made, rows, settings.seed, tick=clock.pulse)
     clock.stop()
     return made, None if verdict is None else Judged(made.budget, verdict.error, verdict.noise)
 

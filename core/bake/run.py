@@ -10,7 +10,7 @@ import numpy as np
 from ..panes import Panes
 from ..panes.exits import gather_panes, joined, smooth_panes
 from ..panes.regions import region_of
-from ..planner import Settings, more_points
+from ..planner import MOST_ENTRIES, Settings, more_points
 from ..point_cache import Weights
 from ..rays import CHUNK
 from ..scene import Scene
@@ -98,7 +98,9 @@ def _bake(scene, settings, clock, kept):
 
     clock.start("Check")
     if not at_points:
-        verdict = judge(made, np.arange(len(made.exits)), seed, shown_by_texels(made, panes.rows, panes.starts))
+        verdict = judge(
+            made, np.arange(len(made.exits)), seed, shown_by_texels(made, panes.rows, panes.starts), clock.pulse
+        )
     if stored is None:
         parts["gather noise"] = gather_noise(made, seed) if verdict is None else verdict.noise
     elif verdict is None:
@@ -114,7 +116,7 @@ def _bake(scene, settings, clock, kept):
         else:
             parts["points"] = float(np.sqrt(max(verdict.shown**2 - parts["panes"] ** 2, 0.0)))
         parts |= {"entries": verdict.entries, "lamps": verdict.lamps}
-    warnings = made.warnings + (_late(made, settings, clock) or _missed(made, settings, error, parts))
+    warnings = made.warnings + (_late(made, settings, clock) or _missed(made, settings, settled.bound, error, parts))
     report = {
         "error": error,
         "error_95": worst,
@@ -161,7 +163,7 @@ def _enough_points(made: Prepared, settings: Settings, bound: str, clock: Clock)
         stored = bake_points(made, settings, clock)
         clock.start("Check")
         orphan = (stored.texels if len(made.exits) else stored.vertices).orphan
-        verdict = judge(made, np.flatnonzero(~orphan), settings.seed, shown_by_points(made, stored))
+        verdict = judge(made, np.flatnonzero(~orphan), settings.seed, shown_by_points(made, stored), clock.pulse)
         clock.stop()
         if verdict is None or bound in ("given", "time") or settings.time_budget:
             return stored, verdict
@@ -179,7 +181,7 @@ def _late(made: Prepared, settings: Settings, clock: Clock) -> list[str]:
     return [f"The time budget of {asked:.3g} s is too short: at the least quality the bake took {took:.3g} s."]
 
 
-def _missed(made: Prepared, settings: Settings, error: float, parts: dict[str, float]) -> list[str]:
+def _missed(made: Prepared, settings: Settings, bound: str, error: float, parts: dict[str, float]) -> list[str]:
     """A warning where the error is far from the one asked for, by budgets that nobody set by hand."""
     by_hand = any(getattr(settings, name) is not None for name in asdict(made.budget))
     if by_hand or error <= MISSED * settings.error_target:
@@ -189,6 +191,8 @@ def _missed(made: Prepared, settings: Settings, error: float, parts: dict[str, f
         remedy = "allow more Time"
     elif worst == "points" and not len(made.vertices):
         remedy = "set Light At to Texels"
+    elif bound == "most" and made.budget.entries >= MOST_ENTRIES:
+        remedy = "larger bakes are not made; keep lamps away from surfaces"
     else:
         remedy = "ask for a lower Error"
     return [

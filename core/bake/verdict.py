@@ -59,10 +59,17 @@ class Verdict:
     squares: np.ndarray
 
 
-def judge(made: Prepared, rows: np.ndarray, seed: int, show: Show | None = None) -> Verdict | None:
+def judge(
+    made: Prepared,
+    rows: np.ndarray,
+    seed: int,
+    show: Show | None = None,
+    tick: Callable[[int], None] | None = None,
+) -> Verdict | None:
     """The error of what is shown at some of `rows`; None where no held-out lamp lights anything.
 
-    show: None for what exits at texels would show, gathered for the places that are looked at alone.
+    show: None for what exits at texels would show, gathered for the places that are looked at alone. tick: called now and
+    then with a number of rays; an exception that it raises passes through.
 
     rows: of `made.exits`, texels with light of their own; of `made.vertices` where no object has texels.
     """
@@ -102,7 +109,7 @@ def judge(made: Prepared, rows: np.ndarray, seed: int, show: Show | None = None)
         return float(each(square).mean())
 
     found, closely = mean(seen[:, 0]), mean(seen[:, 1])
-    even, more = ([mean(values) for values in halves] for halves in _fresh(made, some, chosen, seed))
+    even, more = ([mean(values) for values in halves] for halves in _fresh(made, some, chosen, seed, tick))
     first, second = (found - e - m for e, m in zip(even, more, strict=True))
     squares = _quiet((first * second).mean(axis=(1, 2)), (first**2 - second**2).mean(axis=(1, 2)))
     at = order[starts]
@@ -120,7 +127,7 @@ def judge(made: Prepared, rows: np.ndarray, seed: int, show: Show | None = None)
     )
 
 
-def _fresh(made, places, chosen, seed):
+def _fresh(made, places, chosen, seed, tick):
     """Two halves of what even entries shine on places, and two of what others bring more; remembered, for the last trial
     is the whole bake's beginning."""
     key = chosen.tobytes(), seed
@@ -128,7 +135,7 @@ def _fresh(made, places, chosen, seed):
         fields = entry_fields(made, made.test_direct)
         made.fresh.clear()
         made.fresh[key] = (
-            [even_light(made, places, fields, EVEN_RAYS, seed + salt) for salt in (71, 72)],
+            [even_light(made, places, fields, EVEN_RAYS, seed + salt, tick) for salt in (71, 72)],
             [uneven_light(made, places, fields, PATHS, seed + salt) for salt in (81, 82)],
         )
     return made.fresh[key]
