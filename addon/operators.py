@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import bpy
 
-from ..core.bake import BakeError
+from ..core.bake import BakeError, error_map
 from ..core.scene import SceneError
-from . import animation, areas, baking, engine, job, relight, sessions, waiting
+from . import animation, areas, baking, engine, job, relight, sessions, store, waiting
 from .console import ConsoleProgress
 
 # Seconds between two looks at a bake that runs.
@@ -137,6 +137,35 @@ class LIGHTPANES_OT_relight(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class LIGHTPANES_OT_show_error(bpy.types.Operator):
+    bl_idname = "lightpanes.show_error"
+    bl_label = "Show Error"
+    bl_description = (
+        "Make an image over the atlas of where the bake is wrong: blue is well below the error that was asked for, green "
+        "is that error, red four times it"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        entries = store.find_entries(context.scene)
+        # not read: it is long, and asked for at every drawing
+        return entries is not None and '"error_map"' in str(entries.data.get(store.META, ""))
+
+    def execute(self, context):
+        scene = context.scene
+        meta = store.read_meta(scene)
+        pixels = store.opaque(error_map.coloured(error_map.decode(meta["error_map"]), meta["report"]["error_target"]))
+        if store.find_image(scene, store.ERROR) is not None:
+            store.drop_image(scene, store.ERROR)
+        image = store.add_image(scene, store.ERROR, pixels)
+        for area in context.screen.areas if context.screen is not None else ():
+            if area.type == "IMAGE_EDITOR":
+                area.spaces.active.image = image
+        self.report({"INFO"}, f"'{image.name}' shows the error over the atlas")
+        return {"FINISHED"}
+
+
 class LIGHTPANES_OT_clear(bpy.types.Operator):
     bl_idname = "lightpanes.clear"
     bl_label = "Clear"
@@ -164,7 +193,13 @@ def summary(report: dict) -> str:
     return ", ".join(parts)
 
 
-CLASSES = (LIGHTPANES_OT_bake, LIGHTPANES_OT_cancel, LIGHTPANES_OT_relight, LIGHTPANES_OT_clear)
+CLASSES = (
+    LIGHTPANES_OT_bake,
+    LIGHTPANES_OT_cancel,
+    LIGHTPANES_OT_relight,
+    LIGHTPANES_OT_show_error,
+    LIGHTPANES_OT_clear,
+)
 
 
 def register() -> None:

@@ -33,7 +33,14 @@ MOST_CASTERS = 6
 LAMP_ICONS = {"POINT": "LIGHT_POINT", "SUN": "LIGHT_SUN", "SPOT": "LIGHT_SPOT", "AREA": "LIGHT_AREA"}
 
 # What the parts of a bake's error are called in its report → what the panel calls them.
-ERROR_PARTS = {"panes": "Panes", "gather noise": "Noise", "points": "Points"}
+ERROR_PARTS = {
+    "panes": "Panes",
+    "gather noise": "Noise",
+    "points": "Points",
+    "entries": "Entries",
+    "lamps": "Lamp Sampling",
+}
+BOUNDS = {"error": "Error", "time": "Time", "most": "Size"}
 
 
 class _Panel:
@@ -204,8 +211,12 @@ class LIGHTPANES_PT_results(_SubPanel, bpy.types.Panel):
             return
         if report.get("error") is not None:
             _fact(column, "Error", figures.percent(report["error"]))
+            if report.get("error_95") is not None:
+                _fact(column, "Worst 5 %", figures.percent(report["error_95"]), part=True)
             for name, value in report.get("error_parts", {}).items():
                 _fact(column, ERROR_PARTS.get(name, name), figures.percent(value), part=True)
+        if report.get("bound") in BOUNDS:
+            _fact(column, "Bound By", iface_(BOUNDS[report["bound"]]))
         _fact(column, "Time", figures.duration(report.get("total_seconds", 0)))
         _fact(column, "Size", figures.size(report.get("bytes", 0)))
         _fact(column, "Rays", f"{report.get('rays', 0) / 1e6:.1f} M")
@@ -280,6 +291,7 @@ class LIGHTPANES_PT_debug(_SubPanel, bpy.types.Panel):
         row = layout.row()
         row.enabled = store.find_points(scene) is not None
         row.prop(scene.lightpanes, "show_points")
+        layout.operator("lightpanes.show_error", icon="IMAGE_DATA")
         report = _report(scene) or {}
         column = layout.column(align=True)
         for label, key in (("Triangles", "triangles"), ("Entries", "entries"), ("Regions", "regions"),

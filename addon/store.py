@@ -34,6 +34,7 @@ DIRECT = "Lightpanes Direct"
 STEADY = "Lightpanes Direct Steady"
 CAUSTICS = "Lightpanes Caustics"
 ALBEDO = "Lightpanes Albedo"
+ERROR = "Lightpanes Error"
 SHOWN = (IRRADIANCE, DIRECT, CAUSTICS, ALBEDO)
 
 # Custom properties. TAG marks every data-block that is ours to delete; it holds the data-block's role. It is not

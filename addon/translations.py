@@ -19,6 +19,12 @@ GERMAN = {
     "Error": "Fehler",
     "Panes": "Scheiben",
     "Noise": "Rauschen",
+    "Lamp Sampling": "Lampenabtastung",
+    "Worst 5 %": "Schlechteste 5 %",
+    "Bound By": "Begrenzt durch",
+    "Make an image over the atlas of where the bake is wrong: blue is well below the error that was asked for, green "
+    "is that error, red four times it": "Ein Bild über dem Atlas, das zeigt, wo das Backergebnis falsch ist: Blau liegt "
+    "weit unter dem verlangten Fehler, Grün ist dieser Fehler, Rot das Vierfache",
     "Points": "Punkte",
     "Rays": "Strahlen",
     "Last Relight": "Letzte Neubeleuchtung",
@@ -181,6 +187,7 @@ GERMAN = {
 
 # Labels of buttons, which Blender looks up apart.
 GERMAN_BUTTONS = {
+    "Show Error": "Fehler zeigen",
     "Bake": "Backen",
     "Bake Again": "Neu backen",
     "Relight": "Neu beleuchten",

@@ -11,15 +11,31 @@ from .scene import Scene, SceneError
 EXITS = ("auto", "points", "texels", "atlas")
 
 LEAST = {
-    "entries": 800,
+    "entries": 600,
     "entry_rays": 256,
     "exit_rays": 16,
-    "regions": 48,
-    "lamps": 400,
+    "regions": 28,
+    "lamps": 350,
     "points": 1000,
     "point_rays": 64,
 }
-"""What a time budget cuts budgets to at most: with less, a bake takes hardly less time."""
+"""What a time budget cuts budgets to at most, and what a planner tries first: with less, a bake takes hardly
+less time."""
+
+MOST_ENTRIES, MOST_POINTS = 10_000, 60_000
+"""Their transport, and their weights, take time and memory with the square of the entries."""
+
+IN_REGION = 22
+"""Entries of a region: its panes are then about two thirds of what would hold any light."""
+
+GOAL = 0.92
+"""Part of the error target that a larger budget aims at: no step hits what it aims at."""
+
+OF_NOISE, OF_POINTS = 0.4, 0.6
+"""Parts of the target that the gather's noise, and points, may take; they add up as squares."""
+
+FALL = (0.4, 0.55, 0.9)
+"""Powers of the entries' number with which their error falls: least, usual, most."""
 
 POINT_RAYS = 130
 """Rays that take as long as to find a point and place it."""
@@ -129,8 +145,72 @@ def part_of(budget: Budget, settings: Settings, part: float) -> Budget:
 
 
 @dataclass(frozen=True)
+class Judged:
+    """A bake up to its panes, as it was found to be. error: relative, with `budget.exit_rays` rays at each exit; noise: the
+    part of it that falls with those rays."""
+
+    budget: Budget
+    error: float
+    noise: float
+
+
+def sized(budget: Budget, entries: int, settings: Settings) -> Budget:
+    """The budget with so many entries, and with the regions, training lamps and rays that go with them."""
+    times = entries / 4400
+    changed = replace(
+        budget,
+        entries=entries,
+        entry_rays=_clamp(512 * times**0.5, LEAST["entry_rays"], 1024),
+        regions=_clamp(entries / IN_REGION, LEAST["regions"], 400),
+        lamps=_clamp(1400 * times**0.7, LEAST["lamps"], 3000),
+    )
+    return _as_given(changed, settings)
+
+
+def refine(settings: Settings, judged: list[Judged], at_points: bool) -> Budget:
+    """What to try next, or the last budget with other rays at its exits where its entries are enough, or the most.
+
+    judged: all that were tried, small to large. Half of what is asked for may come from the entries' size, with which all
+    but the gather's noise falls.
+    """
+    last = judged[-1]
+    target = settings.error_target
+    allowed = OF_NOISE * target
+    rays = _clamp(last.budget.exit_rays * (last.noise / allowed) ** 2, LEAST["exit_rays"], 2048)
+    noise = OF_POINTS * target if at_points else last.noise * (last.budget.exit_rays / rays) ** 0.5
+    goal = max((GOAL * target) ** 2 - noise**2, (0.3 * target) ** 2) ** 0.5
+    size = _beyond_noise(last)
+    fine = replace(last.budget, exit_rays=rays)
+    if size**2 + noise**2 <= target**2 or last.budget.entries >= MOST_ENTRIES:
+        return _as_given(fine, settings)
+    fall = FALL[1]
+    if len(judged) > 1:
+        more = np.log(last.budget.entries / judged[0].budget.entries)
+        fall = float(np.clip(np.log(_beyond_noise(judged[0]) / size) / more, FALL[0], FALL[2]))
+    # the first trial says little of a scene; a step too far costs more than one more step
+    times = min(max((size / goal) ** (1 / fall), 1.3), 3.5 if len(judged) == 1 else 2.2)
+    return _as_given(sized(fine, _clamp(last.budget.entries * times, 1, MOST_ENTRIES), settings), settings)
+
+
+def _beyond_noise(judged):
+    return max(judged.error**2 - judged.noise**2, (0.3 * judged.error) ** 2) ** 0.5
+
+
+def more_points(settings: Settings, budget: Budget, error: float, points: float) -> Budget | None:
+    """The budget with the points that the error asks for; None where there are enough, or as many as can be. points: the
+    part of `error` that comes from between them."""
+    target = settings.error_target
+    if error <= target or budget.points >= MOST_POINTS or settings.points is not None:
+        return None
+    goal = max((GOAL * target) ** 2 - (error**2 - points**2), (0.5 * OF_POINTS * target) ** 2) ** 0.5
+    times = min(max((points / goal) ** 2, 1.3), 3.0)
+    return replace(budget, points=_clamp(budget.points * times, 1, MOST_POINTS))
+
+
+@dataclass(frozen=True)
 class Took:
-    """What a bake's stages took with a budget, s, and what its transport traced, rays."""
+    """What a bake's stages took with a budget, s, and what its transport traced, rays. check: what measuring its error
+    took, which is done once more at the end."""
 
     budget: Budget
     entries: float
@@ -138,6 +218,7 @@ class Took:
     lamps: float
     panes: float
     rays: int
+    check: float = 0.0
 
     def foresee(self, budget: Budget, places: int) -> float:
         """s that the same stages, and the gather from exits, take with another budget. places: texels that are exits, 0
@@ -154,6 +235,8 @@ class Took:
             + self.transport * (traced + 1.1 * gathered) / max(self.rays, 1)
             + self.lamps * more * budget.lamps / was.lamps
             + self.panes * more * max(more, modes)
+            # its places stay the same, and the last time most of it is remembered
+            + self.check * (1.4 + 0.1 * more)
         )
 
 

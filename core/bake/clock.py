@@ -90,9 +90,15 @@ class Clock:
     def stop(self) -> None:
         """End the stage."""
         if self._stage:
-            self.seconds[self._stage] = round(now() - self._stage_began, 4)
-            self.traced[self._stage] = self.rays - self._rays_before
+            # a planner may come back to a stage
+            before = self.seconds.get(self._stage, 0.0)
+            self.seconds[self._stage] = round(before + now() - self._stage_began, 4)
+            self.traced[self._stage] = self.traced.get(self._stage, 0) + self.rays - self._rays_before
             self._stage = ""
+
+    def pulse(self, _rays: int) -> None:
+        """Something goes on, of which nothing is counted; the time to cancel it."""
+        self.tick(0, 0)
 
     def tick(self, steps: int, rays: int | None = None) -> None:
         """Steps done since the last tick; they are rays unless said otherwise."""

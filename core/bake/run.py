@@ -10,22 +10,31 @@ import numpy as np
 from ..panes import Panes
 from ..panes.exits import gather_panes, joined, smooth_panes
 from ..panes.regions import region_of
-from ..planner import Settings
+from ..planner import MOST_ENTRIES, Settings, more_points
 from ..point_cache import Weights
 from ..rays import CHUNK
 from ..scene import Scene
 from ..transfer import Begun
 from .check import compression_error, gather_noise, interpolation_error
 from .clock import Clock, Progress
+from .error_map import encode, error_map
 from .kept import Cancelled, Kept
 from .record import Bake, point_arrays
-from .steps import Prepared, in_time, prepare
+from .rounds import settle
+from .steps import Prepared, in_time
 from .stored import Stored, bake_points, spread_to_texels
+from .verdict import Verdict, judge, shown_by_points, shown_by_texels
 
 MISSED = 1.5
 """Error over the one asked for from which on the user is told."""
 
-PARTS = {"panes": "in the panes", "gather noise": "noise", "points": "between points"}
+PARTS = {
+    "panes": "in the panes",
+    "gather noise": "noise",
+    "points": "between points",
+    "entries": "in the size of the entries",
+    "lamps": "in how few places of an entry see a lamp",
+}
 """Where the parts of an error are, in words."""
 
 
@@ -63,9 +72,10 @@ def bake(
 
 
 def _bake(scene, settings, clock, kept):
+    settled = kept.part("prepared", lambda: settle(scene, settings, clock, kept))
     # a copy: what follows changes it
-    made = replace(kept.part("prepared", lambda: prepare(scene, settings, clock, kept)))
-    kept.drop("transport", "lamps")
+    made = replace(settled.made)
+    kept.drop(f"transport {made.budget.entries}", f"lamps {made.budget.entries}")
     seed = settings.seed
     parts = {}
     if made.test_direct is not None:
@@ -75,7 +85,7 @@ def _bake(scene, settings, clock, kept):
         )
     at_points = made.starts is None and settings.exits != "atlas"
     if at_points:
-        stored = bake_points(made, settings, clock)
+        stored, verdict = _enough_points(made, settings, settled.bound, clock)
         panes, first_hit = _at_points(made, stored)
     elif made.starts is None:
         wanted = len(made.exits)
@@ -87,18 +97,34 @@ def _bake(scene, settings, clock, kept):
         panes, first_hit = _at_texels(made, settings, clock)
 
     clock.start("Check")
+    if not at_points:
+        verdict = judge(
+            made, np.arange(len(made.exits)), seed, shown_by_texels(made, panes.rows, panes.starts), clock.pulse
+        )
     if stored is None:
-        parts["gather noise"] = gather_noise(made, seed)
-    else:
+        parts["gather noise"] = gather_noise(made, seed) if verdict is None else verdict.noise
+    elif verdict is None:
         parts["points"] = interpolation_error(made, stored, seed)
     clock.stop()
-    error = float(np.sqrt(sum(part**2 for part in parts.values())))
-    warnings = made.warnings + (_late(made, settings, clock) or _missed(made, settings, error, parts))
+    # without live lamps, or where none lights anything
+    error, worst = float(np.sqrt(sum(part**2 for part in parts.values()))), None
+    if verdict is not None:
+        error, worst = verdict.error, verdict.worst
+        if stored is None:
+            # what the noise does not explain: light that texels can have and entries cannot
+            parts["panes"] = float(np.sqrt(max(verdict.shown**2 - parts["gather noise"] ** 2, parts["panes"] ** 2)))
+        else:
+            parts["points"] = float(np.sqrt(max(verdict.shown**2 - parts["panes"] ** 2, 0.0)))
+        parts |= {"entries": verdict.entries, "lamps": verdict.lamps}
+    warnings = made.warnings + (_late(made, settings, clock) or _missed(made, settings, settled.bound, error, parts))
     report = {
         "error": error,
+        "error_95": worst,
         "error_parts": parts,
         "skipped": {} if made.test_direct is not None else {"panes": "no lamp is live"},
         "error_target": settings.error_target,
+        "bound": settled.bound,
+        "rounds": [{"entries": j.budget.entries, "error": j.error} for j in settled.judged],
         "seconds": round(clock.spent, 3),
         "earlier_seconds": round(clock.earlier, 3),
         "stages": clock.seconds,
@@ -120,11 +146,31 @@ def _bake(scene, settings, clock, kept):
         report["stored_points"] = len(stored.points)
         report |= {"vertices": len(made.vertices), "objects": [item.name for item in scene.objects]}
         points = point_arrays(stored.points, region_of(stored.starts), scene.triangle_object)
-    result = Bake.from_panes(panes, first_hit, {"report": report, "seed": seed}, points)
+    meta = {"report": report, "seed": seed}
+    if verdict is not None and len(made.exits):
+        texels = made.exits if not at_points else made.exits.keep(np.flatnonzero(~stored.texels.orphan))
+        meta["error_map"] = encode(error_map(verdict, texels, scene.extent))
+    result = Bake.from_panes(panes, first_hit, meta, points)
     report["bytes"] = result.bytes
     if clock.progress is not None:
         clock.progress(Progress("Done", 1.0, clock.rays))
     return result
+
+
+def _enough_points(made: Prepared, settings: Settings, bound: str, clock: Clock) -> tuple[Stored, Verdict | None]:
+    """Exits at points, more of them until the error is what was asked for, and what it is."""
+    while True:
+        stored = bake_points(made, settings, clock)
+        clock.start("Check")
+        orphan = (stored.texels if len(made.exits) else stored.vertices).orphan
+        verdict = judge(made, np.flatnonzero(~orphan), settings.seed, shown_by_points(made, stored), clock.pulse)
+        clock.stop()
+        if verdict is None or bound in ("given", "time") or settings.time_budget:
+            return stored, verdict
+        better = more_points(settings, made.budget, verdict.error, verdict.shown)
+        if better is None:
+            return stored, verdict
+        made.budget = better
 
 
 def _late(made: Prepared, settings: Settings, clock: Clock) -> list[str]:
@@ -135,7 +181,7 @@ def _late(made: Prepared, settings: Settings, clock: Clock) -> list[str]:
     return [f"The time budget of {asked:.3g} s is too short: at the least quality the bake took {took:.3g} s."]
 
 
-def _missed(made: Prepared, settings: Settings, error: float, parts: dict[str, float]) -> list[str]:
+def _missed(made: Prepared, settings: Settings, bound: str, error: float, parts: dict[str, float]) -> list[str]:
     """A warning where the error is far from the one asked for, by budgets that nobody set by hand."""
     by_hand = any(getattr(settings, name) is not None for name in asdict(made.budget))
     if by_hand or error <= MISSED * settings.error_target:
@@ -145,6 +191,8 @@ def _missed(made: Prepared, settings: Settings, error: float, parts: dict[str, f
         remedy = "allow more Time"
     elif worst == "points" and not len(made.vertices):
         remedy = "set Light At to Texels"
+    elif bound == "most" and made.budget.entries >= MOST_ENTRIES:
+        remedy = "larger bakes are not made; keep lamps away from surfaces"
     else:
         remedy = "ask for a lower Error"
     return [

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..caustics import casters
-from ..panes.entry_light import EntrySurface
+from ..panes.entry_light import EntryLight, EntrySurface
+from ..panes.held_out import held_out_lamps
 from ..panes.modes import Modes, learn_modes, training_fields
 from ..panes.regions import features, make_regions, nearest, rooms, signature, split_regions, starts_of
 from ..panes.training import illuminate, training_lamps
 from ..panes.weights import PaneWeights, make_weights
-from ..planner import Budget, Settings, Took, fit, limit_rays, needs_panes, part_of, plan, uses_points
+from ..planner import Budget, Settings, limit_rays, needs_panes, plan, uses_points
 from ..rays import Bvh, Tracer
-from ..scene import Scene
+from ..scene import Light, Scene
 from ..surface import Patches, SurfaceSamples, Texels, Vertices, make_patches, make_texels, make_vertices
 from ..transfer import Entries, Gatherer, Transport, find_entries, make_gatherer, make_piece_gatherer, make_transport
 from ..transfer.covered import covered
@@ -39,8 +40,8 @@ TICKS = 1000
 GUIDES = 16
 """Training lamps that steer the points' density."""
 
-TEST_LAMPS = 24
-"""Held-out lamps that measure the panes' error at the end of a bake."""
+TEST_LAMPS = 12
+"""Held-out lamps that measure the error at the end of a bake; three at a time take red, green and blue."""
 
 
 @dataclass
@@ -52,8 +53,9 @@ class Prepared:
     is_buried: tells of places whether they lie inside solid things; buried: how many texels were found to. tables:
     (regions, ids, c) what a ray that lands on an id brings: the region's modes, then, where the scene has light that no
     live lamp changes, its bounces (3) and, where sky or faces shine, their first hit (3). guide: (1, ids, c) radiosity
-    of a few lamps, None where texels are the exits. test_direct: (n, TEST_LAMPS) irradiance of held-out lamps, None
-    where no lamp is live. kept: parts that were finished before.
+    of a few lamps, None where texels are the exits. test_lamps: held-out ones, of unit power, and test_direct: (n, l) the
+    irradiance of each at the entries, seen from all places; none where no lamp is live. kept: parts that were finished
+    before. fresh: light gathered anew at the places that were last judged (`verdict.judge`).
     """
 
     scene: Scene
@@ -74,10 +76,12 @@ class Prepared:
     tables: np.ndarray
     guide: np.ndarray | None
     is_buried: Callable[[SurfaceSamples], np.ndarray]
+    test_lamps: list[Light]
     test_direct: np.ndarray | None
     buried: int
     warnings: list[str]
     kept: Kept
+    fresh: dict = field(default_factory=dict)
 
     @property
     def has_steady_light(self) -> bool:
@@ -103,42 +107,21 @@ class Surfaces:
 
 
 def prepare(scene: Scene, settings: Settings, clock: Clock | None = None, kept: Kept | None = None) -> Prepared:
-    """Run all stages up to the exits' gather, but for parts that are `kept`. Raises SceneError for scenes that cannot
-    be baked.
+    """Run all stages up to the exits' gather, but for parts that are `kept`, with the budgets that the planner begins
+    with. Raises SceneError for scenes that cannot be baked."""
+    clock, budget = clock or Clock(), plan(scene, settings)
+    return prepare_with(find_surfaces(scene, settings, clock), settings, budget, clock, kept or Kept())
 
-    Under a time budget they run with the least budget first, which tells what fits into the time that is left.
-    """
-    clock, kept = clock or Clock(), kept or Kept()
-    budget = plan(scene, settings)
+
+def find_surfaces(scene: Scene, settings: Settings, clock: Clock) -> Surfaces:
+    """The surfaces, and whether exits are points. Raises SceneError for scenes that cannot be baked."""
     clock.start("Surfaces")
     texels, vertices = make_texels(scene, settings.resolution), make_vertices(scene)
-    at_points = uses_points(settings, budget, len(texels), len(vertices))
+    at_points = uses_points(settings, plan(scene, settings), len(texels), len(vertices))
     focusing = casters(scene)
     # what focuses a lamp's light casts a shadow of it
     tracer = Tracer(scene, solid=None if focusing is None else focusing.triangles)
-    surfaces = Surfaces(scene, texels, vertices, tracer, at_points, settings.resolution, focusing is not None)
-    if not settings.time_budget:
-        return _prepare(surfaces, settings, budget, clock, kept)
-    least = part_of(budget, settings, 0.0)
-    clock.start("Pilot")
-    pilot = clock.pilot()
-    made = _prepare(surfaces, settings, least, pilot, Kept())
-    pilot.stop()
-    # the hurried bake may be the whole one
-    clock.seconds |= pilot.seconds
-    clock.traced |= pilot.traced
-    took = Took(
-        replace(least, entries=len(made.entries)),
-        *(pilot.seconds.get(stage, 0.0) for stage in ("Entries", "Transport", "Lamps", "Panes")),
-        pilot.traced["Transport"],
-    )
-    better = fit(budget, settings, took, 0 if at_points else len(texels), KEPT_BACK * time_left(settings, clock))
-    clock.stop()
-    if better is not None:
-        made = _prepare(surfaces, settings, better, clock, kept)
-    # how many there is time for is known once their turn comes
-    made.budget = replace(made.budget, exit_rays=budget.exit_rays, point_rays=budget.point_rays)
-    return made
+    return Surfaces(scene, texels, vertices, tracer, at_points, settings.resolution, focusing is not None)
 
 
 def time_left(settings: Settings, clock: Clock) -> float:
@@ -146,8 +129,18 @@ def time_left(settings: Settings, clock: Clock) -> float:
     return settings.time_budget - clock.ahead - clock.spent
 
 
-def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Clock, kept: Kept) -> Prepared:
-    """The stages after the surfaces', with a budget."""
+def prepare_with(
+    surfaces: Surfaces,
+    settings: Settings,
+    budget: Budget,
+    clock: Clock,
+    kept: Kept,
+    judges: list[Light] | None = None,
+) -> Prepared:
+    """The stages after the surfaces', with a budget. What is kept goes by the number of entries asked for.
+
+    judges: held-out lamps, None for some that are drawn here.
+    """
     scene, seed, at_points = surfaces.scene, settings.seed, surfaces.at_points
     texels, vertices, tracer = surfaces.texels, surfaces.vertices, surfaces.tracer
     warnings = list(scene.warnings)
@@ -170,7 +163,9 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
 
     clock.start("Transport", len(entries) * budget.entry_rays)
-    transport = kept.part("transport", lambda: make_transport(entries, gatherer, budget.entry_rays, seed, clock.tick))
+    transport = kept.part(
+        f"transport {budget.entries}", lambda: make_transport(entries, gatherer, budget.entry_rays, seed, clock.tick)
+    )
 
     places = entries.places
     surface = EntrySurface.of(entries, patches, places, tracer.offset)
@@ -178,13 +173,13 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
         lamps = training_lamps(scene, places, gatherer, budget.lamps, seed + 6)
         clock.start("Lamps", len(lamps))
         direct = kept.part(
-            "lamps",
+            f"lamps {budget.entries}",
             lambda: illuminate(lamps, places, PLACES, tracer, seed, lambda n: clock.tick(n, n * len(entries))),
         )
-        # three at a time stand for red, green and blue
-        test = training_lamps(scene, places, gatherer, TEST_LAMPS + 3, seed + 1006)
-        test = test[len(test) % 3 :]
-        test_direct = illuminate(test, places, PLACES, tracer, seed + 1000)
+        test = held_out_lamps(scene, places, gatherer, TEST_LAMPS, seed + 1006) if judges is None else judges
+        test = [replace(lamp, power=np.ones(3)) for lamp in test[: len(test) // 3 * 3]]
+        eyes = EntryLight(surface, tracer, seed, few=PLACES)
+        test_direct = np.stack([grey(eyes.unit(lamp)) for lamp in test], 1)
 
         clock.start("Panes", 4)
         radiosity, field = training_fields(entries, transport, direct)
@@ -201,7 +196,7 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
         weights = make_weights(entries, transport, modes, room, direct[:, ::8])
         clock.tick(1, 0)
     else:
-        modes, weights, test_direct = *no_panes(entries), None
+        modes, weights, test, test_direct = *no_panes(entries), [], None
     static = static_light(scene, surface, tracer, seed)
     arriving = static
     if static is not None and surfaces.focuses:
@@ -223,7 +218,7 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
         guide[0, : len(entries)] = some
     made = Prepared(
         scene, budget, patches, bvh, tracer, entries, gatherer, transport, places, surface, modes, weights,
-        texels, None, vertices, tables, guide, is_buried, test_direct, int(buried.sum()), warnings, kept,
+        texels, None, vertices, tables, guide, is_buried, test, test_direct, int(buried.sum()), warnings, kept,
     )  # fmt: skip
     if not at_points:
         own = own_region(made, texels.samples)
@@ -254,6 +249,11 @@ def in_time(made: Prepared, settings: Settings, clock: Clock, rays: str, places:
         clock.stop()
         rate = clock.traced["Transport"] / max(clock.seconds["Transport"], 1e-3)
         made.budget = limit_rays(made.budget, rays, places, rate, KEPT_BACK * time_left(settings, clock))
+
+
+def grey(values: np.ndarray) -> np.ndarray:
+    """(n,) of (n,) or (n, 3)."""
+    return values if values.ndim == 1 else values.mean(axis=1)
 
 
 def _nothing(samples: SurfaceSamples) -> np.ndarray:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..rays import CHUNK, LAYERS, Bvh, Tracer, Transmission, chunks, product3
+from ..rays import CHUNK, LAYERS, Bvh, Hits, Tracer, Transmission, chunks, product3
 from ..sampling import cosine_hemisphere, frame, hammersley_points, hash_uniform
 from ..scene import Scene
 from ..surface import Patches, SurfaceSamples
@@ -135,15 +135,25 @@ class Gatherer:
         )
         return bare & (hits.triangle >= 0), hits.distance
 
-    def land(
-        self, origins: np.ndarray, directions: np.ndarray, flat: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Ids (n,) int32 of what rays land on, and how far off (n,) float32, m, infinite in the sky.
+    def meet(self, origins: np.ndarray, directions: np.ndarray, flat: np.ndarray | None) -> tuple[np.ndarray, Hits]:
+        """Ids (n,) int32 of what rays land on, and where they first hit, which for rays that went on through see-through
+        surfaces is not where they landed.
 
         flat: (3, n) float32 geometric normals, without which no ray is below the surface.
         """
         hits = self.bvh.hits(origins, directions)
-        return self._land(origins, directions, flat, hits.triangle), np.where(hits.triangle < 0, np.inf, hits.distance)
+        return self._land(origins, directions, flat, hits.triangle), hits
+
+    def land(
+        self, origins: np.ndarray, directions: np.ndarray, flat: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Ids (n,) int32 as by `meet`, and how far off (n,) float32, m, infinite in the sky."""
+        ids, hits = self.meet(origins, directions, flat)
+        return ids, np.where(hits.triangle < 0, np.inf, hits.distance)
+
+    def is_clear(self, piece: np.ndarray) -> np.ndarray:
+        """(n,) bool: which of the patches' pieces let light straight through; −1, the sky, does not."""
+        return self._clear.take(piece, mode="wrap")
 
     def _land(self, origins, directions, flat, triangle=None):
         if triangle is None:

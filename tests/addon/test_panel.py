@@ -143,3 +143,18 @@ def test_no_lamps(room):
 def test_numbers_as_people_write_them():
     assert [figures.duration(s) for s in (0.04, 9.94, 12.4, 200)] == ["0.0 s", "9.9 s", "12 s", "3 min 20 s"]
     assert [figures.size(n) for n in (12, 3400, 71.9e6, 2.34e9)] == ["12 B", "3 KB", "72 MB", "2.3 GB"]
+
+
+def test_an_image_of_the_error(room, quick):
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    assert "lightpanes.show_error" in texts(draw(panel.LIGHTPANES_PT_debug), "operator")
+    for _ in range(2):
+        assert bpy.ops.lightpanes.show_error() == {"FINISHED"}
+    image = store.find_image(room, store.ERROR)
+    assert image.name == "Lightpanes Error" and image.size[0] <= 64
+    assert store.read_image(room, store.ERROR)[..., :3].any()
+    # another bake is another error
+    assert bpy.ops.lightpanes.bake() == {"FINISHED"}
+    assert store.find_image(room, store.ERROR) is None
+    store.write_meta(room, {"report": {}})
+    assert not bpy.ops.lightpanes.show_error.poll()

@@ -16,13 +16,16 @@ __all__ = ["Reference", "cycles_bake", "reference_direct", "reference_indirect"]
 CACHE = Path(__file__).resolve().parents[2] / "out" / "bench" / "cache"
 
 
-def reference_indirect(context, resolution: int = 256, spp: int = 64, seed: int = 0, bounces: int = 32) -> Reference:
+def reference_indirect(
+    context, resolution: int = 256, spp: int = 64, seed: int = 0, bounces: int = 32, script: str = ""
+) -> Reference:
     """Indirect irradiance of the scene as it stands: lamps, sky and emission after at least one bounce.
 
     The scene's baked objects (`lightpanes_baked`) need their `Lightpanes` UVs. Cached in out/bench/cache by
-    the file's content, the UVs, every lamp and the settings; the scene itself is left as it was.
+    the file's content, the UVs, every lamp and the settings; the scene itself is left as it was. script: what built the
+    scene, where no file holds it.
     """
-    return _reference(context, {"INDIRECT"}, resolution, spp, seed, bounces)
+    return _reference(context, {"INDIRECT"}, resolution, spp, seed, bounces, script)
 
 
 def reference_direct(context, resolution: int = 256, spp: int = 64, seed: int = 0) -> Reference:
@@ -30,11 +33,13 @@ def reference_direct(context, resolution: int = 256, spp: int = 64, seed: int = 
     return _reference(context, {"DIRECT"}, resolution, spp, seed, 0)
 
 
-def _reference(context, passes, resolution, spp, seed, bounces):
+def _reference(context, passes, resolution, spp, seed, bounces, script=""):
     settings = {"passes": sorted(passes), "resolution": resolution, "spp": spp, "seed": seed, "bounces": bounces}
+    if script:
+        settings["script"] = script
     path = CACHE / f"{_fingerprint(context, settings)}.npz"
-    # without a file nothing says which materials these are
-    keep = bool(bpy.data.filepath)
+    # without a file or a script nothing says which materials these are
+    keep = bool(bpy.data.filepath or script)
     if keep and path.exists():
         with np.load(path, allow_pickle=False) as stored:
             return Reference(stored["halves"], stored["mask"], spp, float(stored["seconds"]))

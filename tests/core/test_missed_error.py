@@ -1,7 +1,7 @@
 """A bake that misses the error it was asked for says so."""
 
 import pytest
-from lightpanes.core.bake import bake, steps
+from lightpanes.core.bake import bake, rounds, run
 from lightpanes.core.planner import Budget, Settings
 
 from .shapes import lamp, quick, room
@@ -22,7 +22,10 @@ pytestmark = pytest.mark.usefixtures("frugal")
 def test_a_missed_error_is_told_with_its_remedy(monkeypatch, cut, more, told):
     small = {"entries": 300, "entry_rays": 128, "exit_rays": 256, "regions": 8, "panes": 8, "lamps": 60}
     small |= {"points": 400, "point_rays": 256}
-    monkeypatch.setattr(steps, "plan", lambda *_: Budget(**(small | cut)))
+    monkeypatch.setattr(rounds, "plan", lambda *_: Budget(**(small | cut)))
+    # nothing is added
+    monkeypatch.setattr(rounds, "ROUNDS", 0)
+    monkeypatch.setattr(run, "more_points", lambda *_: None)
     settings = Settings(**({"error_target": 0.01, "resolution": 64} | more))
     # without live lamps there are no panes that could be wrong
     report = bake(room(lights=[lamp((1, 1, 2), live="exit_rays" not in cut)]), settings).report

@@ -11,7 +11,7 @@ from .shapes import lamp, room
 
 pytestmark = pytest.mark.usefixtures("frugal")
 
-ASKED = Settings(error_target=0.2, resolution=64)
+ASKED = Settings(error_target=0.03, resolution=64, points=1500)
 
 
 class Machine:

@@ -1,0 +1,188 @@
+"""A bake's own measure of its error, against errors that are put in by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from lightpanes.core.bake import bake, error_map, verdict
+from lightpanes.core.bake.clock import Clock
+from lightpanes.core.bake.fresh_light import entry_fields, even_light, uneven_light
+from lightpanes.core.bake.kept import Kept
+from lightpanes.core.bake.rounds import settle
+from lightpanes.core.bake.steps import prepare
+from lightpanes.core.panes.held_out import CLEAR, REACH, held_out_lamps
+from lightpanes.core.panes.training import room_around
+from lightpanes.core.planner import MOST_ENTRIES, Judged, Settings, more_points, plan, refine, sized
+from lightpanes.core.threads import use_threads
+from lightpanes.tests.frugal import save_rays
+
+from .shapes import lamp, quick, room
+
+pytestmark = pytest.mark.usefixtures("exact")
+
+
+@pytest.fixture(scope="module")
+def exact():
+    """Bakes save rays, but not on the measure of their error."""
+    with pytest.MonkeyPatch.context() as patch:
+        save_rays(patch, judge=True)
+        yield
+
+
+@pytest.fixture(scope="module")
+def made(exact):
+    return prepare(room(lights=[lamp((3, 1.5, 2)), lamp((1, 1, 2), kind="SUN")]), quick())
+
+
+@pytest.fixture(scope="module")
+def truth(made):
+    """Light gathered anew with many rays, by other random numbers than the judge's."""
+    fields = entry_fields(made, made.test_direct)
+    places = made.exits.samples
+    return even_light(made, places, fields, 2048, 900) + uneven_light(made, places, fields, 64, 901)
+
+
+def judged(made, show):
+    return verdict.judge(made, np.arange(len(made.exits)), 0, show)
+
+
+def shows(light):
+    """What shows (t, l, 3) at all texels, whether few or all places of entries see the lamps."""
+    return lambda chosen, value: np.tile(light[chosen].reshape(len(chosen), -1), 2)
+
+
+def test_held_out_lamps_stand_in_the_air_and_half_are_the_scenes_own(made):
+    scene = made.scene
+    found = held_out_lamps(scene, made.places, made.gatherer, 12, 5)
+    assert len(found) == 12
+    own, anywhere = found[::2], found[1::2]
+    assert {light.name for light in anywhere} == {"training"}
+    suns = [light for light in own if light.kind == "SUN"]
+    points = [light for light in own if light.kind == "POINT"]
+    assert len(suns) == len(points) == 3
+    for light in points:
+        assert 0 < np.linalg.norm(light.position - scene.lights[0].position) <= REACH * scene.extent
+    around = room_around(np.array([light.position for light in (*points, *anywhere)], np.float32), made.gatherer)
+    assert around.min() > 0.99 * CLEAR * scene.extent
+    # no sun gets into a closed room, wherever it stands
+    assert all(np.allclose(light.direction, scene.lights[1].direction) for light in suns)
+    again = held_out_lamps(scene, made.places, made.gatherer, 12, 5)
+    assert all(np.array_equal(a.matrix, b.matrix) for a, b in zip(found, again, strict=True))
+
+
+def test_what_is_right_is_found_right(made, truth):
+    found = judged(made, shows(truth))
+    assert found.error < 0.012 and found.lamps == 0
+
+
+@pytest.mark.parametrize("part", [0.03, 0.2])
+def test_an_error_is_found_as_large_as_it_is(made, truth, part):
+    """Blocks that are too bright by a known part."""
+    size = made.exits.resolution
+    block = made.exits.index // size // 4 * size + made.exits.index % size // 4
+    wrong = 1 + part * np.random.default_rng(3).standard_normal(size * size)[block]
+    light = (truth * wrong[:, None, None]).astype(np.float32)
+    mean = truth.mean(axis=(0, 2))
+    lit = mean > 1e-6 * mean.max()
+    asked = np.sqrt((((light - truth)[:, lit] / mean[lit, None]) ** 2).mean(axis=(0, 2))).mean()
+    found = judged(made, shows(light))
+    assert found.error == pytest.approx(asked, rel=0.15)
+    assert found.worst > 1.4 * found.error
+
+
+def test_parts_tell_where_an_error_is(made, truth):
+    base = verdict.judge(made, np.arange(len(made.exits)), 0)
+    coarse = replace(made, budget=replace(made.budget, exit_rays=16))
+    noisy = verdict.judge(coarse, np.arange(len(made.exits)), 0)
+    assert noisy.noise > 2 * base.noise and noisy.error > base.error
+    assert noisy.entries == pytest.approx(base.entries, rel=1e-2)
+
+
+def test_a_verdict_does_not_depend_on_threads(made):
+    # or it would remember
+    made.fresh.clear()
+    try:
+        use_threads(1)
+        alone = verdict.judge(made, np.arange(len(made.exits)), 0)
+    finally:
+        use_threads(0)
+    made.fresh.clear()
+    both = verdict.judge(made, np.arange(len(made.exits)), 0)
+    assert alone.error == both.error and np.array_equal(alone.squares, both.squares)
+
+
+def test_the_map_of_errors(made, truth):
+    """Half of the room is wrong, and the map shows which."""
+    left = made.exits.samples.position[:, 0] < 2
+    light = np.where(left[:, None, None], 1.3 * truth, truth).astype(np.float32)
+    errors = error_map.error_map(judged(made, shows(light)), made.exits, made.scene.extent)
+    size = made.exits.resolution
+    assert errors.shape == (size, size)
+    own = errors.reshape(-1)[made.exits.index]
+    assert own.min() >= 0 and np.median(own[left]) > 2.5 * np.median(own[~left])
+    kept = error_map.decode(error_map.encode(errors))
+    assert np.allclose(kept, errors, rtol=1e-3, atol=1e-4)
+    picture = error_map.coloured(kept, 0.05)
+    assert (picture[errors < 0] == 0).all()
+    red = picture[..., 0] - picture[..., 2]
+    assert red[np.unravel_index(errors.argmax(), errors.shape)] > 0.5
+
+
+def test_a_bake_reports_its_error():
+    report = (made := bake(room(lights=[lamp((3, 1.5, 2))]), quick())).report
+    assert 0 < report["error"] < report["error_95"] < 1
+    assert set(report["error_parts"]) == {"panes", "gather noise", "entries", "lamps"}
+    assert report["bound"] == "given" and report["rounds"] == []
+    assert error_map.decode(made.meta["error_map"]).max() > 0
+    unlit = bake(room(lights=[lamp((3, 1.5, 2), live=False)]), quick())
+    assert unlit.report["error_95"] is None and "error_map" not in unlit.meta
+
+
+def scene_whose_error_falls(power, at_600, noise_192):
+    def look(budget):
+        noise = noise_192 * (192 / budget.exit_rays) ** 0.5
+        return Judged(budget, ((at_600 * (600 / budget.entries) ** power) ** 2 + noise**2) ** 0.5, noise)
+
+    return look
+
+
+@pytest.mark.parametrize("power", [0.4, 0.6, 0.9])
+@pytest.mark.parametrize("target", [0.1, 0.05])
+def test_rounds_end_at_the_target_and_not_far_below(power, target):
+    look, settings = scene_whose_error_falls(power, 0.12, 0.01), Settings(error_target=target)
+    judged = [look(replace(sized(plan(room(), settings), 600, settings), exit_rays=192))]
+    for _ in range(6):
+        budget = refine(settings, judged, False)
+        if budget.entries == judged[-1].budget.entries:
+            break
+        judged.append(look(budget))
+    error = look(budget).error
+    if budget.entries < MOST_ENTRIES:
+        assert 0.6 * target < error <= target
+        # half the entries would not do
+        if len(judged) > 1:
+            assert look(replace(budget, entries=budget.entries // 2)).error > target
+    assert look(budget).noise <= 0.401 * target
+
+
+def test_points_are_added_where_they_are_what_is_wrong():
+    settings = Settings(error_target=0.05)
+    budget = plan(room(), settings)
+    assert more_points(settings, budget, 0.049, 0.04) is None
+    more = more_points(settings, budget, 0.07, 0.06)
+    assert 1.5 < more.points / budget.points <= 3
+    assert more_points(replace(settings, points=budget.points), budget, 0.07, 0.06) is None
+    assert more_points(settings, replace(budget, points=60_000), 0.07, 0.06) is None
+
+
+def test_a_small_target_takes_more_rounds():
+    scene, found = room(lights=[lamp((3, 1.5, 2))]), []
+    for target in (0.3, 0.035):
+        settings = Settings(error_target=target, resolution=48)
+        settled = settle(scene, settings, Clock(), Kept())
+        assert settled.bound == "error"
+        found.append(settled)
+    coarse, fine = found
+    assert len(coarse.judged) == 1 and len(fine.judged) >= 1
+    assert fine.judged[-1].error <= coarse.judged[-1].error
+    assert fine.made.budget.exit_rays > coarse.made.budget.exit_rays
