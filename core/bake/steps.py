@@ -16,8 +16,19 @@ from ..panes.weights import PaneWeights, make_weights
 from ..planner import Budget, Settings, Took, fit, limit_rays, needs_panes, part_of, plan, uses_points
 from ..rays import Bvh, Tracer
 from ..scene import Scene
-from ..surface import Patches, SurfaceSamples, Texels, Vertices, make_patches, make_texels, make_vertices
-from ..transfer import Entries, Gatherer, Transport, find_entries, make_gatherer, make_piece_gatherer, make_transport
+from ..surface import Patches, SurfaceSamples, Texels, Vertices, cut_patches, make_patches, make_texels, make_vertices
+from ..transfer import (
+    ElementTransport,
+    Entries,
+    Gatherer,
+    Transport,
+    find_elements,
+    find_entries,
+    make_element_transport,
+    make_gatherer,
+    make_piece_gatherer,
+    make_transport,
+)
 from ..transfer.entries import MAX_ALBEDO, PLACES
 from .clock import Clock
 from .kept import Kept
@@ -25,6 +36,13 @@ from .steady import piece_excess, sky_bins, static_caustics, static_light, stead
 
 PILOTS = 32_768
 """Texels, about, whose rays find the entries where points are the exits."""
+
+MOST_ENTRIES = 4096
+"""Entries between which light is balanced, at most: matrices are of their square. Where more are asked for, they are
+elements of so many."""
+
+ELEMENTS_PAY = 1.5
+"""Entries asked for over MOST_ENTRIES up to which all are balanced with each other."""
 
 KEPT_BACK = 0.85
 """Part of the time left that is planned for: the check comes last, and machines have other things to do."""
@@ -56,7 +74,7 @@ class Prepared:
     tracer: Tracer
     entries: Entries
     gatherer: Gatherer
-    transport: Transport
+    transport: Transport | ElementTransport
     places: SurfaceSamples
     surface: EntrySurface
     modes: Modes
@@ -145,7 +163,12 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
     texels, vertices, tracer = surfaces.texels, surfaces.vertices, surfaces.tracer
     warnings = list(scene.warnings)
     clock.start("Entries")
-    patches = make_patches(scene, budget.entries, seed)
+    # without live lamps pieces of entries tell them apart
+    finely = budget.entries > ELEMENTS_PAY * MOST_ENTRIES
+    patches = make_patches(scene, MOST_ENTRIES if finely else budget.entries, seed)
+    finer = None
+    if finely and needs_panes(scene):
+        finer, patches, owner = cut_patches(scene, patches, budget.entries, seed)
     bvh = Bvh(patches.corners)
     # points need not ask of each texel: those that a point serves are not buried
     step = max(-(-len(texels) // PILOTS), 1) if at_points else 1
@@ -161,8 +184,20 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
     bins = sky_bins(scene.sky)
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
 
-    clock.start("Transport", len(entries) * budget.entry_rays)
-    transport = kept.part("transport", lambda: make_transport(entries, gatherer, budget.entry_rays, seed, clock.tick))
+    elements, whole = None, (entries, gatherer)
+    if finer is not None:
+        elements, patches = find_elements(scene, finer, owner, entries, is_buried, seed), finer
+        entries, gatherer = elements.sides, make_gatherer(scene, finer, elements.sides, bvh, tracer.offset, bins)
+
+    clock.start("Transport", (len(whole[0]) + (0 if elements is None else len(elements))) * budget.entry_rays)
+
+    def transport_of():
+        found = make_transport(*whole, budget.entry_rays, seed, clock.tick)
+        if elements is None:
+            return found
+        return make_element_transport(whole[0], elements, found, gatherer, budget.entry_rays, seed, clock.tick)
+
+    transport = kept.part("transport", transport_of)
 
     places = entries.places
     surface = EntrySurface.of(entries, patches, places, tracer.offset)
@@ -183,7 +218,7 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
         clock.tick(1, 0)
         points = features(entries.position, entries.normal, scene.extent)
         # rooms lie farther apart than anything within one
-        room = rooms(transport.between)
+        room = rooms(transport.between) if elements is None else rooms(transport.whole.between)[elements.entry]
         far = 4 * room[:, None].astype(np.float32)
         alike = np.concatenate([points, signature(field[:, ::2]), far], 1)
         region = make_regions(alike, entries.area, max(budget.regions // 4, 1), seed)
