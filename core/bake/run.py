@@ -64,7 +64,8 @@ def bake(
 
 def _bake(scene, settings, clock, kept):
     # a copy: what follows changes it
-    made = replace(kept.part("prepared", lambda: prepare(scene, settings, clock, kept)))
+    ready = kept.part("prepared", lambda: prepare(scene, settings, clock, kept))
+    made = replace(ready)
     kept.drop("transport", "lamps")
     seed = settings.seed
     parts = {}
@@ -73,6 +74,8 @@ def _bake(scene, settings, clock, kept):
             "panes error",
             lambda: compression_error(made.entries, made.transport, made.modes, made.weights, made.test_direct),
         )
+    # what follows reads the panes alone, and needs the memory
+    made.transport = ready.transport = None
     at_points = made.starts is None and settings.exits != "atlas"
     if at_points:
         stored = bake_points(made, settings, clock)

@@ -44,6 +44,9 @@ elements of so many."""
 ELEMENTS_PAY = 1.5
 """Entries asked for over MOST_ENTRIES up to which all are balanced with each other."""
 
+ELEMENTS = 6
+"""Elements of an entry above which there are more entries after all: near entries have the square of it in pairs."""
+
 KEPT_BACK = 0.85
 """Part of the time left that is planned for: the check comes last, and machines have other things to do."""
 
@@ -74,7 +77,7 @@ class Prepared:
     tracer: Tracer
     entries: Entries
     gatherer: Gatherer
-    transport: Transport | ElementTransport
+    transport: Transport | ElementTransport | None
     places: SurfaceSamples
     surface: EntrySurface
     modes: Modes
@@ -165,7 +168,7 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
     clock.start("Entries")
     # without live lamps pieces of entries tell them apart
     finely = budget.entries > ELEMENTS_PAY * MOST_ENTRIES
-    patches = make_patches(scene, MOST_ENTRIES if finely else budget.entries, seed)
+    patches = make_patches(scene, _balanced(budget.entries) if finely else budget.entries, seed)
     finer = None
     if finely and needs_panes(scene):
         finer, patches, owner = cut_patches(scene, patches, budget.entries, seed)
@@ -235,6 +238,8 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
         arriving = static + static_caustics(scene, surface, surfaces.resolution, tracer, seed, settings.photons)
     steady, shine = steady_light(scene.sky, bins, entries, transport, arriving)
     tables = _tables(modes, steady, shine, gatherer.size)
+    # the tables hold them
+    modes = replace(modes, makers=None)
     if test_direct is None:
         # without panes there is room for a row for every piece of every entry
         gatherer, owner = make_piece_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
@@ -257,6 +262,11 @@ def _prepare(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Cloc
         made.exits = texels.keep(np.lexsort((texels.index, own)))
         made.starts = starts_of(own, modes.regions)
     return made
+
+
+def _balanced(elements: int) -> int:
+    """Entries of which there are so many elements."""
+    return round(MOST_ENTRIES * max(1.0, elements / (ELEMENTS * MOST_ENTRIES)) ** 0.5)
 
 
 def in_time(made: Prepared, settings: Settings, clock: Clock, rays: str, places: int) -> None:

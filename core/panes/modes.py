@@ -33,7 +33,8 @@ class Modes:
     basis: (n, k) float32, each entry's row of its own region's orthonormal modes, √area-weighted.
     dual: (n, k) float32, like basis: what a field is multiplied with to get its weights. They are its orthogonal
     projection, corrected so that each region reflects the right flux: bounces would multiply an error of it.
-    makers: (n, regions × k) float32, the radiosities Φ whose gathered field is the mode.
+    makers: (n, regions × k) float32, the radiosities Φ whose gathered field is the mode; None once the bake's tables hold
+    them.
     """
 
     region: np.ndarray
@@ -41,7 +42,7 @@ class Modes:
     regions: int
     basis: np.ndarray
     dual: np.ndarray
-    makers: np.ndarray
+    makers: np.ndarray | None
 
 
 def training_fields(
