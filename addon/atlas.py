@@ -25,6 +25,9 @@ from .work import Work, run
 
 ANGLE_LIMIT = np.radians(66.0)
 
+TOGETHER, MANY_CORNERS = 32, 20_000
+"""Meshes, and corners of their faces, that are unwrapped without a turn for Blender, about."""
+
 
 def receivers(context: bpy.types.Context, objects: Iterable[bpy.types.Object], warnings: list[str]) -> list:
     """Those of the objects that can have a place in the atlas: meshes with faces that render, not excluded."""
@@ -80,10 +83,16 @@ def atlas_steps(
     if not objects and not at_vertices:
         raise SceneError("No object can receive light: add a mesh with faces that renders, or clear Exclude on one.")
     owners = _owners(objects)
-    meshes = []
-    for data, users in owners.items():
+    # all at once: whatever unwraps one mesh makes Blender evaluate the whole scene anew
+    worlds = _worlds(context, objects)
+    meshes: list[Unwrapped] = []
+    waiting = list(owners.items())
+    while waiting:
         yield 0.5 * len(meshes) / len(owners)
-        meshes.append(_read(context, data, users))
+        some, waiting = _few(waiting)
+        with _workbench() as bench:
+            for data, users in some:
+                meshes.append(_read(context, bench, data, users, [worlds[obj.name] for obj in users]))
     uvs, places = [], {}
     if meshes:
         uvs, places = yield Work(
@@ -119,14 +128,27 @@ def _owners(objects) -> dict[bpy.types.Mesh, list]:
     return users
 
 
-def _read(context, data, owners) -> Unwrapped:
-    """A mesh's faces in the world space of the first of its owners, unwrapped."""
+def _worlds(context, objects) -> dict[str, np.ndarray]:
+    """(3, 3) float64 of each object, from its own space to the world's directions."""
+    depsgraph = context.evaluated_depsgraph_get()
+    return {obj.name: np.array(obj.evaluated_get(depsgraph).matrix_world, np.float64)[:3, :3] for obj in objects}
+
+
+def _few(waiting: list[tuple[bpy.types.Mesh, list]]) -> tuple[list, list]:
+    """Meshes that are unwrapped without a turn for Blender: a second's worth at most, and the rest."""
+    corners, count = 0, 0
+    while count < len(waiting) and count < TOGETHER and (not count or corners < MANY_CORNERS):
+        corners += len(waiting[count][0].loops)
+        count += 1
+    return waiting[:count], waiting[count:]
+
+
+def _read(context, bench, data, owners, worlds) -> Unwrapped:
+    """A mesh's faces in the world space of the first of its owners, unwrapped. worlds: of the owners."""
     local = read_attribute(data, "position", len(data.vertices), 3, "vector", np.float32).astype(np.float64)
     corners = read_attribute(data, ".corner_vert", len(data.loops), 1, "value", np.int32)
     faces = np.empty(len(data.polygons), np.int32)
     data.polygons.foreach_get("loop_start", faces)
-    depsgraph = context.evaluated_depsgraph_get()
-    worlds = [np.array(obj.evaluated_get(depsgraph).matrix_world, np.float64)[:3, :3] for obj in owners]
     weights = [max(weight_of(obj), 1e-6) for obj in owners]
     placed = [local @ world.T for world in worlds]
     for obj, positions in zip(owners, placed, strict=True):
@@ -137,7 +159,7 @@ def _read(context, data, owners) -> Unwrapped:
     areas = np.array([_area(positions, corners, faces) for positions in placed]) * weights
     ratios = np.sqrt(areas / max(areas[0], 1e-30)) if areas[0] > 0 else np.ones(len(owners))
     names, positions = [obj.name for obj in owners], placed[0] * np.sqrt(weights[0])
-    uv = _unwrap(context, positions, corners, faces)
+    uv = _unwrap(context, bench, positions, corners, faces)
     return Unwrapped(names, np.maximum(ratios, 1e-6), positions, corners, faces, loop_triangles(data), uv)
 
 
@@ -149,20 +171,15 @@ def _area(positions, corners, faces) -> float:
 
 
 @contextmanager
-def _workbench(positions, corners, faces):
-    """A scene of its own with a mesh of these faces, all selected; removed at the end."""
+def _workbench():
+    """A scene of its own with an object of an empty mesh; removed at the end.
+
+    To make and to remove things costs Blender a look at all that there are: one workbench serves many meshes.
+    """
     scene = bpy.data.scenes.new("Lightpanes Atlas")
     copy = bpy.data.meshes.new("Lightpanes Atlas")
     obj = bpy.data.objects.new("Lightpanes Atlas", copy)
     try:
-        copy.vertices.add(len(positions))
-        copy.loops.add(len(corners))
-        copy.polygons.add(len(faces))
-        copy.vertices.foreach_set("co", positions.astype(np.float32).ravel())
-        copy.loops.foreach_set("vertex_index", corners)
-        copy.polygons.foreach_set("loop_start", faces)
-        copy.uv_layers.new(name=LAYER)
-        copy.update(calc_edges=True)
         scene.collection.objects.link(obj)
         view_layer = scene.view_layers[0]
         obj.select_set(True, view_layer=view_layer)
@@ -174,30 +191,44 @@ def _workbench(positions, corners, faces):
         bpy.data.scenes.remove(scene)
 
 
-def _unwrap(context, positions, corners, faces) -> np.ndarray:
+def _fill(copy, positions, corners, faces) -> None:
+    """Make these faces all that the mesh has."""
+    copy.clear_geometry()
+    copy.vertices.add(len(positions))
+    copy.loops.add(len(corners))
+    copy.polygons.add(len(faces))
+    copy.vertices.foreach_set("co", positions.astype(np.float32).ravel())
+    copy.loops.foreach_set("vertex_index", corners)
+    copy.polygons.foreach_set("loop_start", faces)
+    copy.uv_layers.new(name=LAYER)
+    copy.update(calc_edges=True)
+
+
+def _unwrap(context, bench, positions, corners, faces) -> np.ndarray:
     """Smart UV Project: (L, 2) float64, charts apart but neither scaled nor packed for us."""
-    with _workbench(positions, corners, faces) as (scene, view_layer, obj):
-        override = {
-            "scene": scene,
-            "view_layer": view_layer,
-            "active_object": obj,
-            "object": obj,
-            "selected_objects": [obj],
-        }
-        with context.temp_override(**override):
-            bpy.ops.object.mode_set(mode="EDIT")
-        try:
-            with context.temp_override(**override, edit_object=obj):
-                bpy.ops.mesh.select_all(action="SELECT")
-                bpy.ops.uv.smart_project(
-                    angle_limit=ANGLE_LIMIT,
-                    margin_method="SCALED",
-                    rotate_method="AXIS_ALIGNED",
-                    island_margin=0.001,
-                    correct_aspect=False,
-                    scale_to_bounds=False,
-                )
-        finally:
-            with context.temp_override(**override, edit_object=obj):
-                bpy.ops.object.mode_set(mode="OBJECT")
-        return read_attribute(obj.data, LAYER, len(obj.data.loops), 2, "vector", np.float32).astype(np.float64)
+    scene, view_layer, obj = bench
+    _fill(obj.data, positions, corners, faces)
+    override = {
+        "scene": scene,
+        "view_layer": view_layer,
+        "active_object": obj,
+        "object": obj,
+        "selected_objects": [obj],
+    }
+    with context.temp_override(**override):
+        bpy.ops.object.mode_set(mode="EDIT")
+    try:
+        with context.temp_override(**override, edit_object=obj):
+            bpy.ops.mesh.select_all(action="SELECT")
+            bpy.ops.uv.smart_project(
+                angle_limit=ANGLE_LIMIT,
+                margin_method="SCALED",
+                rotate_method="AXIS_ALIGNED",
+                island_margin=0.001,
+                correct_aspect=False,
+                scale_to_bounds=False,
+            )
+    finally:
+        with context.temp_override(**override, edit_object=obj):
+            bpy.ops.object.mode_set(mode="OBJECT")
+    return read_attribute(obj.data, LAYER, len(obj.data.loops), 2, "vector", np.float32).astype(np.float64)

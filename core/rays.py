@@ -73,10 +73,15 @@ class _Numbers(np.ndarray):
 
 
 class _Rows(np.ndarray):
-    """The same for the rows of an array, of which `rows` is the list."""
+    """The same for the rows of an array, asked for in order: so many at a time are lists."""
+
+    part, rows = -1, ()
 
     def __getitem__(self, key):
-        return self.rows[key]
+        part, place = divmod(key, CHUNK)
+        if part != self.part:
+            self.part, self.rows = part, np.asarray(self)[part * CHUNK : (part + 1) * CHUNK].tolist()
+        return self.rows[place]
 
 
 class Bvh:
@@ -95,7 +100,6 @@ class Bvh:
                 number = np.zeros(len(corners), np.int32)
                 number[used] = np.arange(len(used))
                 corners, named = corners[used], number[triangles].view(_Rows)
-                named.rows = [row for s in chunks(self.size, 65536) for row in number[triangles[s]].tolist()]
             TriangleMesh(self._scene, np.ascontiguousarray(corners, np.float32).view(_Numbers), named)
             # Embree builds at the first query; do it here, on one thread
             self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))

@@ -30,7 +30,7 @@ def compression_error(
     area = (entries.area / entries.area.sum()).astype(np.float32)
     root = np.sqrt(entries.area / entries.area.mean()).astype(np.float32)[:, None]
     albedo = entries.albedo[:, np.arange(direct.shape[1]) % 3]
-    truth = transport.between @ transport.solve(albedo, albedo * direct, 1e-3)
+    truth = transport.arriving(transport.solve(albedo, albedo * direct, 1e-3))
     values = [weights.of(direct[:, s : s + 3]) for s in range(0, direct.shape[1], 3)]
     value = np.concatenate(values, 1).reshape(modes.regions, modes.panes, -1)[modes.region]
     found = np.einsum("nk,nks->ns", modes.basis, value) / root

@@ -8,7 +8,6 @@ really land. Later bounces are softer, and tracing those as well brought nothing
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,26 +19,19 @@ from ..surface import SurfaceSamples, sample_triangles, surface_colour
 from ..threads import in_threads
 from ..transfer.entries import MAX_ALBEDO
 from ..transfer.gather import turns
-from .steps import Prepared
+from .steps import EntryFields, Prepared
 
 
-@dataclass(frozen=True)
-class EntryFields:
-    """Light of lamps of unit power at the entries, W/m². radiosity: (ids, l, 3) float32, 0 where an id is no entry;
-    arriving: (n, l, 3) float32 indirect irradiance."""
-
-    radiosity: np.ndarray
-    arriving: np.ndarray
-
-
-def entry_fields(made: Prepared, direct: np.ndarray) -> EntryFields:
-    """All bounces of direct irradiance (n, l) by the transport, without panes."""
-    entries, lamps = made.entries, direct.shape[1]
-    albedo = np.tile(entries.albedo, (1, lamps))
-    radiosity = made.transport.solve(albedo, albedo * np.repeat(direct, 3, axis=1), 1e-2)
-    arriving = (made.transport.between @ radiosity).reshape(len(entries), lamps, 3)
-    radiosity = np.pad(radiosity, ((0, made.gatherer.size - len(entries)), (0, 0)))
-    return EntryFields(radiosity.reshape(-1, lamps, 3), arriving)
+def entry_fields(made: Prepared) -> EntryFields:
+    """All bounces of the test lamps' light by the transport, without panes; remembered, for the transport is let go."""
+    if made.fields is None:
+        entries, lamps = made.entries, len(made.test_lamps)
+        albedo = np.tile(entries.albedo, (1, lamps))
+        radiosity = made.transport.solve(albedo, albedo * np.repeat(made.test_direct, 3, axis=1), 1e-2)
+        arriving = made.transport.arriving(radiosity).reshape(len(entries), lamps, 3)
+        radiosity = np.pad(radiosity, ((0, made.gatherer.size - len(entries)), (0, 0)))
+        made.fields = EntryFields(radiosity.reshape(-1, lamps, 3), arriving)
+    return made.fields
 
 
 def even_light(

@@ -18,6 +18,7 @@ from ..transfer import Begun
 from .check import compression_error, gather_noise, interpolation_error
 from .clock import Clock, Progress
 from .error_map import encode, error_map
+from .fresh_light import entry_fields
 from .kept import Cancelled, Kept
 from .record import Bake, point_arrays
 from .rounds import settle
@@ -73,6 +74,9 @@ def bake(
 
 def _bake(scene, settings, clock, kept):
     settled = kept.part("prepared", lambda: settle(scene, settings, clock, kept))
+    if settled.made.test_lamps:
+        # by the transport, which is let go below
+        entry_fields(settled.made)
     # a copy: what follows changes it
     made = replace(settled.made)
     kept.drop(f"transport {made.budget.entries}", f"lamps {made.budget.entries}")
@@ -83,6 +87,8 @@ def _bake(scene, settings, clock, kept):
             "panes error",
             lambda: compression_error(made.entries, made.transport, made.modes, made.weights, made.test_direct),
         )
+    # what follows reads the panes alone, and needs the memory
+    made.transport = settled.made.transport = None
     at_points = made.starts is None and settings.exits != "atlas"
     if at_points:
         stored, verdict = _enough_points(made, settings, settled.bound, clock)

@@ -107,10 +107,10 @@ def steady_light(
     if not shines and static is None:
         return None, None
     count = len(entries)
-    from_sky = np.zeros((transport.sky.shape[1], 3), np.float32)
+    from_sky = np.zeros((bins[0] * bins[1], 3), np.float32)
     if sky is not None:
         from_sky = np.float32(np.pi) * _bin_radiance(sky, bins)
-    arrives = transport.sky @ from_sky
+    arrives = transport.from_sky(from_sky)
     if static is not None:
         arrives = arrives + static
     source = emitted + entries.albedo * arrives

@@ -17,8 +17,19 @@ from ..panes.weights import PaneWeights, make_weights
 from ..planner import Budget, Settings, limit_rays, needs_panes, plan, uses_points
 from ..rays import Bvh, Tracer
 from ..scene import Light, Scene
-from ..surface import Patches, SurfaceSamples, Texels, Vertices, make_patches, make_texels, make_vertices
-from ..transfer import Entries, Gatherer, Transport, find_entries, make_gatherer, make_piece_gatherer, make_transport
+from ..surface import Patches, SurfaceSamples, Texels, Vertices, cut_patches, make_patches, make_texels, make_vertices
+from ..transfer import (
+    ElementTransport,
+    Entries,
+    Gatherer,
+    Transport,
+    find_elements,
+    find_entries,
+    make_element_transport,
+    make_gatherer,
+    make_piece_gatherer,
+    make_transport,
+)
 from ..transfer.covered import covered
 from ..transfer.entries import MAX_ALBEDO, PLACES
 from .clock import Clock
@@ -27,6 +38,17 @@ from .steady import piece_excess, sky_bins, static_caustics, static_light, stead
 
 PILOTS = 32_768
 """Texels, about, whose rays find the entries where points are the exits."""
+
+MOST_ENTRIES = 4096
+"""Entries between which light is balanced, at most: matrices are of their square. Where more are asked for, they are
+elements of so many."""
+
+ELEMENTS_PAY = 2.45
+"""Entries asked for over MOST_ENTRIES up to which all are balanced with each other: far light is as coarse as entries, not
+as their elements, so the planner's own bakes do without."""
+
+ELEMENTS = 6
+"""Elements of an entry above which there are more entries after all: near entries have the square of it in pairs."""
 
 KEPT_BACK = 0.85
 """Part of the time left that is planned for: the check comes last, and machines have other things to do."""
@@ -44,6 +66,15 @@ TEST_LAMPS = 12
 """Held-out lamps that measure the error at the end of a bake; three at a time take red, green and blue."""
 
 
+@dataclass(frozen=True)
+class EntryFields:
+    """Light of lamps of unit power at the entries, W/m². radiosity: (ids, l, 3) float32, 0 where an id is no entry;
+    arriving: (n, l, 3) float32 indirect irradiance."""
+
+    radiosity: np.ndarray
+    arriving: np.ndarray
+
+
 @dataclass
 class Prepared:
     """Everything but the exits' gather.
@@ -55,7 +86,8 @@ class Prepared:
     live lamp changes, its bounces (3) and, where sky or faces shine, their first hit (3). guide: (1, ids, c) radiosity
     of a few lamps, None where texels are the exits. test_lamps: held-out ones, of unit power, and test_direct: (n, l) the
     irradiance of each at the entries, seen from all places; none where no lamp is live. kept: parts that were finished
-    before. fresh: light gathered anew at the places that were last judged (`verdict.judge`).
+    before. fields: of the test lamps, all their bounces, and fresh: light gathered anew at the places that were last judged
+    (`verdict.judge`); both made when first asked for.
     """
 
     scene: Scene
@@ -65,7 +97,7 @@ class Prepared:
     tracer: Tracer
     entries: Entries
     gatherer: Gatherer
-    transport: Transport
+    transport: Transport | ElementTransport | None
     places: SurfaceSamples
     surface: EntrySurface
     modes: Modes
@@ -81,6 +113,7 @@ class Prepared:
     buried: int
     warnings: list[str]
     kept: Kept
+    fields: EntryFields | None = None
     fresh: dict = field(default_factory=dict)
 
     @property
@@ -145,7 +178,12 @@ def prepare_with(
     texels, vertices, tracer = surfaces.texels, surfaces.vertices, surfaces.tracer
     warnings = list(scene.warnings)
     clock.start("Entries")
-    patches = make_patches(scene, budget.entries, seed)
+    # without live lamps pieces of entries tell them apart
+    finely = budget.entries > ELEMENTS_PAY * MOST_ENTRIES
+    patches = make_patches(scene, _balanced(budget.entries) if finely else budget.entries, seed)
+    finer = None
+    if finely and needs_panes(scene):
+        finer, patches, owner = cut_patches(scene, patches, budget.entries, seed)
     bvh = Bvh(patches.corners)
     # points need not ask of each texel: those that a point serves are not buried
     step = max(-(-len(texels) // PILOTS), 1) if at_points else 1
@@ -162,10 +200,20 @@ def prepare_with(
     bins = sky_bins(scene.sky)
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
 
-    clock.start("Transport", len(entries) * budget.entry_rays)
-    transport = kept.part(
-        f"transport {budget.entries}", lambda: make_transport(entries, gatherer, budget.entry_rays, seed, clock.tick)
-    )
+    elements, whole = None, (entries, gatherer)
+    if finer is not None:
+        elements, patches = find_elements(scene, finer, owner, entries, is_buried, seed), finer
+        entries, gatherer = elements.sides, make_gatherer(scene, finer, elements.sides, bvh, tracer.offset, bins)
+
+    clock.start("Transport", (len(whole[0]) + (0 if elements is None else len(elements))) * budget.entry_rays)
+
+    def transport_of():
+        found = make_transport(*whole, budget.entry_rays, seed, clock.tick)
+        if elements is None:
+            return found
+        return make_element_transport(whole[0], elements, found, gatherer, budget.entry_rays, seed, clock.tick)
+
+    transport = kept.part(f"transport {budget.entries}", transport_of)
 
     places = entries.places
     surface = EntrySurface.of(entries, patches, places, tracer.offset)
@@ -186,7 +234,7 @@ def prepare_with(
         clock.tick(1, 0)
         points = features(entries.position, entries.normal, scene.extent)
         # rooms lie farther apart than anything within one
-        room = rooms(transport.between)
+        room = rooms(transport.between) if elements is None else rooms(transport.whole.between)[elements.entry]
         far = 4 * room[:, None].astype(np.float32)
         alike = np.concatenate([points, signature(field[:, ::2]), far], 1)
         region = make_regions(alike, entries.area, max(budget.regions // 4, 1), seed)
@@ -203,6 +251,8 @@ def prepare_with(
         arriving = static + _focused(surfaces, surface, settings, clock)
     steady, shine = steady_light(scene.sky, bins, entries, transport, arriving)
     tables = _tables(modes, steady, shine, gatherer.size)
+    # the tables hold them
+    modes = replace(modes, makers=None)
     if test_direct is None:
         # without panes there is room for a row for every piece of every entry
         gatherer, owner = make_piece_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
@@ -240,6 +290,11 @@ def _focused(surfaces: Surfaces, surface: EntrySurface, settings: Settings, cloc
     seconds = FOCUSING * time_left(settings, clock) if settings.time_budget else np.inf
     given = surfaces.scene, surface, surfaces.resolution, surfaces.tracer, settings.seed, settings.photons
     return static_caustics(*given, tell, seconds)
+
+
+def _balanced(elements: int) -> int:
+    """Entries of which there are so many elements."""
+    return round(MOST_ENTRIES * max(1.0, elements / (ELEMENTS * MOST_ENTRIES)) ** 0.5)
 
 
 def in_time(made: Prepared, settings: Settings, clock: Clock, rays: str, places: int) -> None:

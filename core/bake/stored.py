@@ -57,7 +57,9 @@ def bake_points(
     stored = make_points(ground, radius, DENSER * made.budget.points, seed, lambda _: clock.tick(0))
     gathered = stored.sparser(np.sqrt(DENSER))
     clock.tick(1, 0)
-    places = made.exits.samples.join(made.vertices.samples)
+    places = made.exits.samples
+    if len(made.vertices):
+        places = places.join(made.vertices.samples)
     stored, shown = serve(stored, places, ground, "affine", seed, made.is_buried)
     clock.tick(1, 0)
     region = own_region(made, stored.samples)

@@ -132,7 +132,7 @@ def _fresh(made, places, chosen, seed, tick):
     is the whole bake's beginning."""
     key = chosen.tobytes(), seed
     if key not in made.fresh:
-        fields = entry_fields(made, made.test_direct)
+        fields = entry_fields(made)
         made.fresh.clear()
         made.fresh[key] = (
             [even_light(made, places, fields, EVEN_RAYS, seed + salt, tick) for salt in (71, 72)],

@@ -12,12 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..transfer import Entries, Transport
+from .spans import shared_leading
 
 FLOOR = 1e-5
 """Singular values below this part of a region's largest are noise, not light."""
 
 SPOT = 0.01
 """Weight, beside a training lamp's field of mean 1, of a lamp so near to an entry that it lights no other."""
+
+
+LARGE = 128
+"""Rows of a region above which its modes are sought among as many of its fields' leading directions."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +33,8 @@ class Modes:
     basis: (n, k) float32, each entry's row of its own region's orthonormal modes, √area-weighted.
     dual: (n, k) float32, like basis: what a field is multiplied with to get its weights. They are its orthogonal
     projection, corrected so that each region reflects the right flux: bounces would multiply an error of it.
-    makers: (n, regions × k) float32, the radiosities Φ whose gathered field is the mode.
+    makers: (n, regions × k) float32, the radiosities Φ whose gathered field is the mode; None once the bake's tables hold
+    them.
     """
 
     region: np.ndarray
@@ -36,7 +42,7 @@ class Modes:
     regions: int
     basis: np.ndarray
     dual: np.ndarray
-    makers: np.ndarray
+    makers: np.ndarray | None
 
 
 def training_fields(
@@ -49,7 +55,7 @@ def training_fields(
     """
     albedo = entries.albedo[:, np.arange(direct.shape[1]) % 3]
     radiosity = [albedo * direct]
-    field = [transport.between @ radiosity[0]]
+    field = [transport.arriving(radiosity[0])]
     area = (entries.area / entries.area.sum()).astype(np.float32)
     mean = area @ field[0]
     lit = mean > 1e-6 * mean.max(initial=0)
@@ -59,7 +65,7 @@ def training_fields(
     later = field[0][:, lit] @ (mix / np.maximum(mean[lit, None], 1e-30))
     for _ in range(2):
         radiosity.append(entries.albedo[:, np.arange(mixtures) % 3] * later)
-        later = transport.between @ radiosity[-1]
+        later = transport.arriving(radiosity[-1])
         field.append(later)
     radiosity, field = np.concatenate(radiosity, 1), np.concatenate(field, 1)
     mean = area @ field
@@ -83,7 +89,8 @@ def learn_modes(
     flux = root[:, 0] * entries.albedo.mean(axis=1)
     mixes = np.zeros((field.shape[1], regions * panes), np.float32)
     makers = np.empty((len(region), regions * panes), np.float32)
-    reach = (entries.area / entries.area.sum()).astype(np.float32) @ transport.between
+    share = (entries.area / entries.area.sum()).astype(np.float32)
+    reach = transport.leaving(slice(None), share[:, None])[0]
     # what reaches all but nothing would need to be blinding
     glow = np.where(reach > 0.1 * reach.mean(), SPOT / np.maximum(reach, 1e-30), 0).astype(np.float32)
     order = np.argsort(region, kind="stable")
@@ -92,19 +99,29 @@ def learn_modes(
     for r in range(regions):
         rows = order[ends[r - 1] if r else 0 : ends[r]]
         block = root[rows] * field[rows]
+        lone = transport.spots(rows, glow)
+        spots = root[rows] * lone.seen
+        turned = None
+        if len(rows) > LARGE:
+            turned = shared_leading([block, spots], LARGE)
+            block_turned, spots_turned = turned.T @ block, turned.T @ spots
+        else:
+            block_turned, spots_turned = block, spots
         # float64: the Gram matrix squares the range of the singular values
-        spots = root[rows] * transport.between[rows] * glow
-        values, vectors = np.linalg.eigh((block @ block.T + spots @ spots.T).astype(np.float64))
+        gram = block_turned @ block_turned.T + spots_turned @ spots_turned.T
+        values, vectors = np.linalg.eigh(gram.astype(np.float64))
         keep = min(panes, len(rows))
         values, vectors = values[::-1][:keep], vectors[:, ::-1][:, :keep]
         good = values > FLOOR**2 * values[0]
         values, vectors = values[good], vectors[:, good].astype(np.float32)
+        if turned is not None:
+            vectors = turned @ vectors
         basis[rows[:, None], np.arange(len(values))] = vectors
         dual[rows[:, None], np.arange(len(values))] = _keep_flux(vectors, flux[rows])
         inverse = np.zeros((len(rows), panes), np.float32)
         inverse[:, : len(values)] = vectors / values.astype(np.float32)
         mixes[:, r * panes : (r + 1) * panes] = block.T @ inverse
-        makers[:, r * panes : (r + 1) * panes] = glow[:, None] * (spots.T @ inverse)
+        makers[:, r * panes : (r + 1) * panes] = lone.radiosity(spots.T @ inverse)
     makers += radiosity @ mixes
     return Modes(region, panes, regions, basis, dual, makers)
 

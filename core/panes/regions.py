@@ -95,13 +95,17 @@ def split_regions(
     fields beyond those modes, so regions end up small where lamps make much detail.
     """
     root = np.sqrt(area / area.mean()).astype(np.float32)[:, None]
+    mix = np.random.default_rng(0).standard_normal((field.shape[1], SHORT)).astype(np.float32) / np.sqrt(SHORT)
 
     def lost(rows):
         if len(rows) <= panes:
             return 0.0
         block = root[rows] * field[rows]
+        if len(rows) > SMALL:
+            # random mixtures of the fields tell about as much as all of them
+            block = (block @ mix).T
         gram = block @ block.T
-        if SHORT < len(rows) <= SMALL:
+        if SHORT < len(gram) <= SMALL:
             gram = np.stack([gram, gram])
         return float(np.atleast_2d(np.linalg.eigvalsh(gram))[0, :-panes].sum())
 

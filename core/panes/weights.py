@@ -16,6 +16,7 @@ import numpy as np
 from ..transfer import Entries, Transport
 from .modes import Modes
 from .regions import starts_of
+from .spans import leading
 
 RANK = 192
 """Leading fields kept of all bounces after the first, shared by rooms as their entries are."""
@@ -85,7 +86,7 @@ def make_weights(
     first = np.empty((size, count), np.float32)
     for r in range(regions):
         rows = order[ends[r] : ends[r + 1]]
-        first[r * k : r * k + k] = (modes.dual[rows] * root[rows, None]).T @ transport.between[rows]
+        first[r * k : r * k + k] = transport.leaving(rows, modes.dual[rows] * root[rows, None])
 
     def again(values, c):
         """C @ values for modes' weights `values` (m, s): F ρ U in mode space, never formed."""
@@ -124,33 +125,7 @@ def _leading_by_room(fields: np.ndarray, room: np.ndarray) -> np.ndarray:
     parts = []
     for number in np.unique(room):
         rows = np.flatnonzero(room == number)
-        basis = _leading(fields[rows], max(round(RANK * len(rows) / len(room)), ROOM_RANK))
+        basis = leading(fields[rows], max(round(RANK * len(rows) / len(room)), ROOM_RANK))
         parts.append(np.zeros((len(room), basis.shape[1]), np.float32))
         parts[-1][rows] = basis
     return np.concatenate(parts, 1)
-
-
-def _leading(fields: np.ndarray, rank: int, seed: int = 0) -> np.ndarray:
-    """(m, ≤ rank) float32 orthonormal basis of the leading directions of the columns of `fields` (m, s).
-
-    Randomised range finder (Halko et al. 2011): exact enough, and far cheaper than an eigenproblem.
-    """
-    fields = fields / np.maximum(np.linalg.norm(fields, axis=0), 1e-30)
-    rank = min(rank, *fields.shape)
-    mix = np.random.default_rng(seed).standard_normal((fields.shape[1], rank)).astype(np.float32)
-    basis = _orthonormal(fields @ mix)
-    return _orthonormal(fields @ _orthonormal(fields.T @ basis))
-
-
-def _orthonormal(columns: np.ndarray) -> np.ndarray:
-    """(m, r) float32 orthonormal columns with the span of `columns` (m, s), s ≤ m, but for what rounding makes of it.
-
-    By their products with each other: np.linalg.qr holds the GIL.
-    """
-    columns = columns.astype(np.float64)
-    # twice: the first time leaves what the products' condition, the span's squared, has lost
-    for _ in range(2):
-        square, turn = np.linalg.eigh(columns.T @ columns)
-        kept = square > max(1e-12 * square.max(initial=0), 1e-60)
-        columns = columns @ (turn[:, kept] / np.sqrt(square[kept]))
-    return columns.astype(np.float32)

@@ -32,6 +32,9 @@ FLAT = 0.5
 LARGEST_BATCH = 524_288
 """Darts handled together at most, so that memory is bounded."""
 
+FEW = 2048
+"""Of a crowd, those that are the first to be thinned out."""
+
 WINDOW = 16_384
 """Darts over which the hit rate is judged."""
 
@@ -238,3 +241,18 @@ def first_come(samples: SurfaceSamples, r: np.ndarray, low: np.ndarray) -> np.nd
         open_ &= waits
         open_[late[now[early]]] = False
     return np.flatnonzero(stuck)
+
+
+def first_of_many(samples: SurfaceSamples, r: np.ndarray, low: np.ndarray) -> np.ndarray:
+    """The same as `first_come`, for crowds: most fall to those that stick among the first few, so that the pairs of all
+    never meet in memory."""
+    stuck = Darts(no_samples(), np.zeros(0, np.float32), np.zeros(0, bool), np.zeros(0, np.int64), 0)
+    grid = LevelGrid(low)
+    while stuck.thrown < len(r):
+        end = min(2 * max(stuck.thrown, FEW), len(r))
+        rows = np.arange(stuck.thrown, end)
+        rows = rows[~_conflicts(grid, stuck, samples.take(rows), r[rows])]
+        rows = rows[first_come(samples.take(rows), r[rows], low)]
+        stuck = stuck.join(samples.take(rows), r[rows], np.zeros(len(rows), bool), rows, end)
+        grid.fill(stuck.samples.position, stuck.radius)
+    return stuck.number

@@ -10,7 +10,7 @@ from ..sampling import hash_uint32
 from ..surface import SurfaceSamples
 from . import guides
 from .build import RAYS, Ground
-from .darts import first_come
+from .darts import first_of_many
 from .interpolation import Interpolator, Weights, widen
 from .points import PointSet
 
@@ -37,7 +37,7 @@ def serve(
         return points, found
     order = lost[np.argsort(hash_uint32(lost, 31, seed), kind="stable")]
     some = places.take(order)
-    kept = first_come(some, _radius(points, some, ground), places.position.min(axis=0))
+    kept = first_of_many(some, _radius(points, some, ground), places.position.min(axis=0))
     points = points.join(_own(points, some.take(kept), ground, seed + 3))
     again = Interpolator(points, bvh, offset).weights(places.take(lost), kernel)
     still = np.flatnonzero(again.orphan)

@@ -104,6 +104,15 @@ class Interpolator:
             raise ValueError(f"There is no interpolation '{kernel}'; use one of {', '.join(KERNELS)}.")
         if not len(places) or not len(self.points):
             return Weights(np.zeros((len(places), keep), np.int32), np.zeros((len(places), keep), np.float32))
+        if kernel in ("ward", "affine"):
+            # most kernels keep as many as are asked for: no second copy of what can be millions
+            point, weight = np.zeros((len(places), keep), np.int32), np.zeros((len(places), keep), np.float32)
+
+            def fill(s):
+                point[s], weight[s] = self._weights(places.take(s), kernel, keep, s.start, seed)
+
+            in_chunks(fill, len(places))
+            return Weights(point, weight)
         parts = in_chunks(lambda s: self._weights(places.take(s), kernel, keep, s.start, seed), len(places))
         width = max(p[0].shape[1] for p in parts)
         return Weights(*(np.concatenate([widen(p[k], width) for p in parts]) for k in (0, 1)))

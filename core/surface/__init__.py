@@ -1,5 +1,6 @@
 """Where light is known: points on surfaces, the atlas' texels, and patches that pass light on."""
 
+from .elements import cut_patches
 from .footprints import texel_places
 from .patches import Patches, make_patches
 from .samples import SurfaceSamples, inside_triangle, no_samples, sample_triangles, surface_colour, unit
@@ -11,6 +12,7 @@ __all__ = [
     "SurfaceSamples",
     "Texels",
     "Vertices",
+    "cut_patches",
     "inside_triangle",
     "make_patches",
     "make_texels",

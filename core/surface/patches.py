@@ -6,6 +6,7 @@ detailed meshes are grouped by place, normal, object and material.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,20 +108,33 @@ def make_patches(scene: Scene, count: int, seed: int = 0) -> Patches:
     corners = scene.positions[scene.triangles[rows]]
     # float64: areas of millimetre scenes
     area = 0.5 * np.linalg.norm(scene.triangle_cross(rows).astype(np.float64), axis=1).sum()
+    island = _islands(scene, rows, float(np.sqrt(area / max(count, 1))))
+    pieces, patch, found = fit_size(
+        corners, area, count, lambda pieces, size: _group(scene, rows, pieces, size, seed, island)
+    )
+    return summarise(scene, rows, pieces, patch, found)
+
+
+def fit_size(
+    corners: np.ndarray, area: float, count: int, group: Callable[[tuple, float], tuple[np.ndarray, int]]
+) -> tuple[tuple, np.ndarray, int]:
+    """Bisect triangles (t, 3, 3) to the size, m, at which group(pieces, size) finds about `count` groups in them.
+
+    Returns the pieces as from `bisect`, (p,) the group of each, and how many there are. area: m² of all triangles.
+    """
     size = float(np.sqrt(area / max(count, 1)))
     low, high, best = 0.0, np.inf, None
-    island = _islands(scene, rows, size)
     for _ in range(6):
         pieces = bisect(corners, size)
-        patch, found = _group(scene, rows, pieces, size, seed, island)
+        number, found = group(pieces, size)
         if best is None or abs(np.log(found / count)) < abs(np.log(best[2] / count)):
-            best = (pieces, patch, found)
+            best = (pieces, number, found)
         if abs(found / count - 1) < 0.03:
             break
         low, high = (size, high) if found > count else (low, size)
         guess = size * np.sqrt(found / count)
         size = guess if low < guess < high else (0.5 * (low + high) if np.isfinite(high) else 2 * size)
-    return _summarise(scene, rows, *best)
+    return best
 
 
 def _group(scene, rows, pieces, size, seed, island):
@@ -158,7 +172,9 @@ def _islands(scene, rows, size):
     return number[island]
 
 
-def _summarise(scene, rows, pieces, patch, count):
+def summarise(scene: Scene, rows: np.ndarray, pieces: tuple, patch: np.ndarray, count: int) -> Patches:
+    """Patches of pieces as from `bisect`, whose parents are numbers in `rows`, triangles of the scene; patch: (p,) of each
+    piece, of `count`."""
     corners, parent, weights = pieces
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).astype(np.float64)
     piece_area = 0.5 * np.linalg.norm(cross, axis=1)

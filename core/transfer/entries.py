@@ -8,19 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from threading import Lock
 
 import numpy as np
 
-from ..rays import CHUNK, Bvh
+from ..rays import Bvh
 from ..scene import Scene
 from ..surface import Patches, SurfaceSamples
-from .gather import Gatherer
+from .gather import ROWS, Gatherer
 from .reach import flood
 
 PLACES = 16
 """Places on each entry from which its rays start and where lamps are evaluated."""
 
-PILOT_RAYS = 16
+PILOT_RAYS = ROWS
+"""Of each point; as many as a gather hands over together."""
 
 SCOUTS = 12_000
 """Places, about, on sides newly found from which such rays look for more of them."""
@@ -97,17 +99,18 @@ def find_entries(
 
     def pilot(points, salt):
         """Sides seen from places that are not buried, and which places are."""
-        landed = np.empty((PILOT_RAYS, len(points)), np.int32)
-        at = dict.fromkeys(range(0, len(points), CHUNK), 0)
+        buried = np.empty(len(points), bool)
+        seen = np.zeros(gatherer.size, np.int64)
+        turn = Lock()
 
         def consume(piece, ids):
-            first = at[piece.start]
-            landed[first : first + len(ids), piece] = ids
-            at[piece.start] = first + len(ids)
+            # all rays of a point are one block
+            buried[piece] = backside.take(ids).mean(axis=0) > BURIED
+            found = np.bincount(ids[:, ~buried[piece]].reshape(-1), minlength=gatherer.size)
+            with turn:
+                np.add(seen, found, out=seen)
 
         gatherer.gather(points, PILOT_RAYS, seed + salt, consume)
-        buried = backside[landed].mean(axis=0) > BURIED
-        seen = np.bincount(landed[:, ~buried].reshape(-1), minlength=gatherer.size)
         return seen[: 2 * count], buried
 
     total, buried = pilot(exits, 101)
@@ -134,7 +137,7 @@ def find_entries(
     each = np.repeat(sides, PLACES)
     places = _places(scene, patches, each // 2, each % 2 == 1, seed + 5)
     hidden = pilot(places, 300)[1].reshape(-1, PLACES)
-    return _make(patches, sides, places, hidden), buried, lambda points: pilot(points, 400)[1]
+    return entries_of_sides(patches, sides, places, hidden), buried, lambda points: pilot(points, 400)[1]
 
 
 def _significant(hits, patches):
@@ -147,7 +150,9 @@ def _significant(hits, patches):
     return hits > SIGNIFICANT * average * area
 
 
-def _make(patches, sides, places, hidden):
+def entries_of_sides(patches: Patches, sides: np.ndarray, places: SurfaceSamples, hidden: np.ndarray) -> Entries:
+    """Entries on sides (n,) of patches, 2p the front of patch p and 2p + 1 its back. places: n × PLACES on them; hidden:
+    (n, PLACES) bool, those inside other things."""
     count = len(sides)
     all_hidden = hidden.all(axis=1)
     hidden = hidden & ~all_hidden[:, None]

@@ -6,6 +6,7 @@ emit, and F the form factors (design, "Gather, then solve").
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -26,12 +27,20 @@ PAIR_ERROR = 0.005
 
 
 @dataclass(frozen=True)
-class Transport:
-    """between: (n, n) float32, the part of the cosine-weighted hemisphere of entry i that entry j fills.
-    sky: (n, k) float32, the part that each bin of the sky fills."""
+class Spots:
+    """seen: (rows, g) float32 irradiance of some entries by each of g small sources. radiosity: from values (g, k), how
+    much of each source, to the radiosity (n, k) of all entries."""
 
-    between: np.ndarray
-    sky: np.ndarray
+    seen: np.ndarray
+    radiosity: Callable[[np.ndarray], np.ndarray]
+
+
+class Bounces:
+    """All bounces, by what `arriving` says of one."""
+
+    @abstractmethod
+    def arriving(self, values: np.ndarray) -> np.ndarray:
+        """(n, c) float32 irradiance by radiosity `values` (n, c)."""
 
     def solve(self, albedo: np.ndarray, source: np.ndarray, tolerance: float = 1e-4) -> np.ndarray:
         """Radiosity (n, c) of all bounces, W/m², for `source` (n, c): light that leaves the entries first.
@@ -44,12 +53,40 @@ class Transport:
         # sums, not maxima: a lamp near a surface makes one entry shine a thousand times brighter than what it lights
         gained = np.zeros(total.shape[1], np.float32)
         for _ in range(1000):
-            bounce = albedo * (self.between @ bounce)
+            bounce = albedo * self.arriving(bounce)
             total = total + bounce
             gained += bounce.sum(axis=0)
             if (bounce.sum(axis=0) <= tolerance * gained).all():
                 break
         return total
+
+
+@dataclass(frozen=True)
+class Transport(Bounces):
+    """between: (n, n) float32, the part of the cosine-weighted hemisphere of entry i that entry j fills.
+    sky: (n, k) float32, the part that each bin of the sky fills."""
+
+    between: np.ndarray
+    sky: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.sky)
+
+    def arriving(self, values: np.ndarray) -> np.ndarray:
+        """(n, c) float32 irradiance by radiosity `values` (n, c)."""
+        return self.between @ values
+
+    def from_sky(self, values: np.ndarray) -> np.ndarray:
+        """(n, c) float32 irradiance by the sky's bins, `values` (k, c) π · radiance."""
+        return self.sky @ values
+
+    def leaving(self, rows: np.ndarray | slice, values: np.ndarray) -> np.ndarray:
+        """(k, n) float32: what `values` (rows, k) of entries `rows` make of each one's radiosity, values.T @ between[rows]."""
+        return values.T @ self.between[rows]
+
+    def spots(self, rows: np.ndarray, glow: np.ndarray) -> Spots:
+        """Single entries of radiosity `glow` (n,), as `rows` see them."""
+        return Spots(self.between[rows] * glow, lambda values: glow[:, None] * values)
 
 
 def make_transport(

@@ -13,8 +13,8 @@ from lightpanes.core.panes.clusters import cluster_mean, gather_clusters, make_c
 from lightpanes.core.panes.entry_light import EntryLight
 from lightpanes.core.panes.exits import STEPS, gather_panes
 from lightpanes.core.panes.regions import features, make_regions, nearest, split_regions
+from lightpanes.core.panes.spans import leading
 from lightpanes.core.panes.training import free_air, room_around, training_lamps
-from lightpanes.core.panes.weights import _leading as leading
 from lightpanes.core.rays import Tracer
 from lightpanes.core.scene import Material
 from lightpanes.core.surface import make_patches
