@@ -37,7 +37,7 @@ def made(exact):
 @pytest.fixture(scope="module")
 def truth(made):
     """Light gathered anew with many rays, by other random numbers than the judge's."""
-    fields = entry_fields(made, made.test_direct)
+    fields = entry_fields(made)
     places = made.exits.samples
     return even_light(made, places, fields, 2048, 900) + uneven_light(made, places, fields, 64, 901)
 
