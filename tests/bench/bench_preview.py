@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import bpy
+import lightpanes
 import numpy as np
 from lightpanes.addon import render, shown, view
 from lightpanes.core import metrics
@@ -36,6 +37,7 @@ BAKE = {"resolution": 512, "error_target": 0.02}
 
 def rows() -> Iterator[dict]:
     """Rows of the table in the issue that are the engine's."""
+    lightpanes.register()
     scene = _open()
     truth = [views.cycles_view(scene, samples, seed=seed, bounces=BOUNCES).passes for samples, seed in REFERENCE]
     exposure = 2.0**scene.view_settings.exposure

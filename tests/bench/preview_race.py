@@ -10,7 +10,9 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
+import bpy
 import numpy as np
 
 from . import harness, views
@@ -32,7 +34,7 @@ def rows(scene, bounces: int, begin: Callable, similar: Callable) -> Iterator[di
         curves[label] = [
             (float(seconds(n)), similar(image.passes["Combined"])) for n, image in zip(samples, images, strict=True)
         ]
-    _chart(curves, scene.name)
+    _chart(curves, Path(bpy.data.filepath).stem)
     reached = {label: until(curve, WANTED) for label, curve in curves.items()}
     for label, value in reached.items():
         detail = ", ".join(f"{s:.2f} s {quality:.3f}" for s, quality in curves[label])
