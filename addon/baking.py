@@ -28,6 +28,7 @@ from . import (
     nodes,
     points,
     relight,
+    sessions,
     store,
     twice,
     vertices,
@@ -155,7 +156,7 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
     with relight.paused():
         vertices.keep(context, surfaces, loops)
         claims.claim(scene)
-        relight.adopt(scene, relighter)
+        sessions.adopt(scene, relighter)
         placed = extract.fingerprint(context)
     ending = _Ending(report["rays"])
     yield from ending.turn(0.985)
@@ -178,7 +179,7 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         report["caustics"] = told
         report["warnings"] += [w for w in caustics.sentences(scene) if w not in report["warnings"]]
     yield from ending.turn(0.995)
-    relight.pack()
+    sessions.pack()
     report["total_seconds"] = round(time.perf_counter() - start, 3)
     store.write_meta(scene, result.meta)
     yield from ending.turn(1.0, "Done")
@@ -210,7 +211,7 @@ def clear_scene(context: bpy.types.Context) -> bool:
     nodes.detach(scene)
     twice.give_back(scene)
     linking.give_back(scene)
-    relight.forget(scene)
+    sessions.forget(scene)
     found = store.clear(scene)
     _clear_atlas(scene)
     return found

@@ -23,7 +23,7 @@ from ..core.files import replacing
 from ..core.planner import EXITS
 from ..core.rays import EngineError
 from ..core.scene import SceneError
-from . import baking, beside, caustics, colours, direct, operators, relight, sequence, store
+from . import baking, beside, caustics, colours, direct, operators, relight, sequence, sessions, store
 from .colours import KINDS
 
 OK, BAD_INPUT, INTERRUPTED = 0, 2, 130
@@ -179,7 +179,7 @@ def _relight(options) -> int:
     if options.frame is not None:
         bpy.context.scene.frame_set(options.frame)
     milliseconds = relight.relight(bpy.context)
-    stale = list(relight.session(bpy.context.scene).stale)
+    stale = list(sessions.of(bpy.context.scene).stale)
     scene = bpy.context.scene
     focused = caustics.report(scene)
     told = direct.sentences(scene) if direct.is_baked(scene) else []

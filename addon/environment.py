@@ -15,6 +15,7 @@ from ..core.scene import Sky
 from . import cycles
 from .materials import digest_tree
 from .pixels import read_pixels
+from .trees import heeds_nodes
 
 WIDTH, HEIGHT = 256, 128
 FINE = 4
@@ -89,15 +90,9 @@ def digest(world: bpy.types.World | None) -> str:
     return result.hexdigest()
 
 
-def uses_nodes(world: bpy.types.World) -> bool:
-    """Whether nodes make the world's light, and not its one colour."""
-    # from 5.0 on nodes count whenever they exist, and asking is deprecated
-    return world.node_tree is not None and (bpy.app.version >= (5, 0) or world.use_nodes)
-
-
 def _output(world):
     """The node that Cycles shows a world by; None where it has no nodes, or none that counts."""
-    return world.node_tree.get_output_node("CYCLES") if uses_nodes(world) else None
+    return world.node_tree.get_output_node("CYCLES") if heeds_nodes(world) else None
 
 
 def _has_volume(world) -> bool:
@@ -109,7 +104,7 @@ def plain(world: bpy.types.World) -> np.ndarray | None:
     """(3,) radiance of a world of one colour, None where it varies."""
     output = _output(world)
     if output is None:
-        return np.zeros(3) if uses_nodes(world) else np.array(world.color, np.float64)
+        return np.zeros(3) if heeds_nodes(world) else np.array(world.color, np.float64)
     source = linked_node(output.inputs["Surface"])
     if source is None:
         return np.zeros(3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
-from . import areas, caustics, direct, extract, handlers, meshes, relight, store, waiting
+from . import areas, caustics, direct, extract, handlers, meshes, relight, sessions, store, waiting
 
 STALE_DELAY = 0.5
 """Seconds after the last edit of a mesh at which the bake is checked against it."""
@@ -17,14 +17,14 @@ def _on_update(scene, depsgraph):
         return
     if bpy.app.background:
         worked = direct.is_baked(scene) or caustics.is_baked(scene)
-        if worked and any(_may_stale(scene, relight.session(scene), change) for change in depsgraph.updates):
+        if worked and any(_may_stale(scene, sessions.of(scene), change) for change in depsgraph.updates):
             relight.look_again(scene, extract.fingerprint(bpy.context))
         relight.update(scene, depsgraph)
         return
     # One relight for all that happens before Blender is idle again.
     if not bpy.app.timers.is_registered(_update_later):
         bpy.app.timers.register(_update_later, first_interval=0.0)
-    current = relight.session(scene)
+    current = sessions.of(scene)
     edits = [change for change in depsgraph.updates if _may_stale(scene, current, change)]
     current.wrote_meshes = False
     if any(caustics.can_follow(scene, change.id) for change in edits):
@@ -35,7 +35,7 @@ def _on_update(scene, depsgraph):
         bpy.app.timers.register(_stale_later, first_interval=STALE_DELAY)
 
 
-def _may_stale(scene: bpy.types.Scene, current: relight.Session, change) -> bool:
+def _may_stale(scene: bpy.types.Scene, current: sessions.Session, change) -> bool:
     """Whether a change can make the bake stale: to an object's shape or place, to the world, or to a lamp that is
     baked in."""
     lamp = isinstance(change.id, bpy.types.Light) or (
@@ -106,7 +106,7 @@ def _on_undo(scene, *_):
 
 @persistent
 def _on_load(*_):
-    relight.stop()
+    sessions.stop()
 
 
 @persistent
@@ -117,7 +117,7 @@ def _on_save(*_):
         if direct.is_baked(scene):
             # what names baked objects would keep deleted ones in the file
             direct.link(scene)
-    relight.pack()
+    sessions.pack()
 
 
 HANDLERS = {
@@ -142,4 +142,4 @@ def unregister() -> None:
     for timer in (_update_later, _stale_later, _glass_later):
         if bpy.app.timers.is_registered(timer):
             bpy.app.timers.unregister(timer)
-    relight.stop()
+    sessions.stop()

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..core.scene import Light, SceneError, Sky
 from . import cycles, environment, groups, linking, visibility
+from .trees import heeds_nodes
 
 BOUNCES = 8
 """A lamp whose light ends after fewer bounces gets a warning: panes hold all bounces."""
@@ -165,8 +166,7 @@ def _power(data) -> np.ndarray:
 def _node_factor(data, warnings, name) -> np.ndarray:
     """(3,) colour times strength of a lamp's plain Emission node; ones where there are no nodes."""
     tree = data.node_tree
-    # from 5.0 on nodes count whenever they exist
-    if tree is None or (bpy.app.version < (5, 0) and not data.use_nodes):
+    if not heeds_nodes(data):
         return np.ones(3)
     output = tree.get_output_node("CYCLES")
     source = environment.linked_node(output.inputs["Surface"]) if output else None

@@ -17,7 +17,7 @@ from . import cycles, materials
 from .meshes import LAYER
 from .pixels import read_pixels
 from .snapshot import read_layer, rectangle, write_layer
-from .trees import source
+from .trees import heeds_nodes, source
 from .unfolded import Unfolded
 from .visibility import rendered_objects
 
@@ -153,7 +153,7 @@ class _Studio:
         if material not in self.copies:
             copy = material.copy() if material is not None else bpy.data.materials.new("Lightpanes Empty")
             self.made.append(copy)
-            if bpy.app.version < (5, 0) and not copy.use_nodes:
+            if not heeds_nodes(copy):
                 colour = tuple(copy.diffuse_color)
                 copy.use_nodes = True
                 for node in copy.node_tree.nodes:

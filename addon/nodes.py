@@ -13,13 +13,13 @@ import bpy
 from ..core.scene import Material, Scene
 from . import claims, store, vertices
 from .meshes import AT_VERTICES
+from .trees import NO_NODES, heeds_nodes
 
 GROUP = "Lightpanes"
 UV_LAYER = "Lightpanes"
 DEFAULT_MATERIAL = "Lightpanes Default"
 NODE_TAG = "lightpanes"
 
-NO_NODES = "lightpanes_no_nodes"
 _SLOT = "lightpanes_slot"
 _SAMPLING = "lightpanes_sampling"
 FORMER = "lightpanes_former"
@@ -239,8 +239,7 @@ def _empty_slot(item, index):
 def _attach_material(material, group, baked: Material | None):
     if material.node_tree is not None and _pair(material.node_tree, "EEVEE") is not None:
         _detach_material(material)  # another scene's: the last bake shows
-    # from 5.0 on every material uses nodes, and asking is deprecated
-    if material.node_tree is None or (bpy.app.version < (5, 0) and not material.use_nodes):
+    if not heeds_nodes(material):
         _use_nodes(material)
     color, value, mapped = _albedo(material.node_tree, baked)
     node = _add_pair(material, "EEVEE", group, None)

@@ -6,7 +6,7 @@ import bpy
 
 from ..core.bake import BakeError
 from ..core.scene import SceneError
-from . import animation, areas, baking, engine, job, relight, waiting
+from . import animation, areas, baking, engine, job, relight, sessions, waiting
 from .console import ConsoleProgress
 
 # Seconds between two looks at a bake that runs.
@@ -130,7 +130,7 @@ class LIGHTPANES_OT_relight(bpy.types.Operator):
         except (SceneError, BakeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        current = relight.session(context.scene)
+        current = sessions.of(context.scene)
         for sentence in current.stale:
             self.report({"WARNING"}, sentence)
         self.report({"INFO"}, f"Relit in {milliseconds:.1f} ms")

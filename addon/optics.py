@@ -132,7 +132,7 @@ def coarse_glass(scene: Scene) -> list[str]:
 
 
 COARSE = 9.0
-"""Degrees by which the normals of a face may differ: a sphere of 24 rings has 8 to 9 and errs by 2.6 %."""
+"""Degrees by which the normals of a face may differ: a sphere of 24 rings has 8 to 9, and focuses 1.4 % amiss (tests/core/test_caustic_meshes.py)."""
 
 FACETS = 40
 """Directions that the flat faces of a cut stone may have, and a round thing more."""

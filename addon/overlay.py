@@ -32,9 +32,9 @@ def arrays(scene: bpy.types.Scene, kind: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _key(scene, kind) -> tuple:
-    from . import relight
+    from . import sessions
 
-    current = relight.session(scene)
+    current = sessions.of(scene)
     return kind, current.key, current.shown if kind == "IRRADIANCE" else "", current.followed
 
 

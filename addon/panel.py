@@ -20,7 +20,7 @@ from . import (
     job,
     obstacles,
     preflight,
-    relight,
+    sessions,
     store,
     vertices,
 )
@@ -161,7 +161,7 @@ class LIGHTPANES_PT_lamps(_SubPanel, bpy.types.Panel):
     def draw(self, context):
         layout, scene = self.layout, context.scene
         layout.use_property_split = False
-        current, names = relight.session(scene), preflight.inspect(context).lamps
+        current, names = sessions.of(scene), preflight.inspect(context).lamps
         column = layout.column(align=True)
         if not names:
             column.label(text="No lamps", icon="INFO")
@@ -194,7 +194,7 @@ class LIGHTPANES_PT_results(_SubPanel, bpy.types.Panel):
 
     def draw(self, context):
         layout, scene = self.begin(), context.scene
-        settings, current, report = scene.lightpanes, relight.session(scene), _report(scene)
+        settings, current, report = scene.lightpanes, sessions.of(scene), _report(scene)
         layout.column(heading="Relight").prop(settings, "live")
         if not settings.live:
             layout.operator("lightpanes.relight", icon="FILE_REFRESH")

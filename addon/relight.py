@@ -1,24 +1,20 @@
 """Lets the baked light follow the lamps: notices what changed, recomputes the irradiance, writes the image.
 
 Everything needed is in the .blend: the bake (addon/store.py) and the meshes, for shadow rays. What is worked out
-from them is kept in a session per scene and made anew when it is missing, so a reopened file relights by itself.
+from them is kept in a session per scene (addon/sessions.py), so a reopened file relights by itself.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import bpy
-import numpy as np
 
 from ..core.bake import BakeError
-from ..core.panes import Panes, Relighter
-from ..core.rays import Tracer
-from ..core.scene import Light, Scene, SceneError
+from ..core.scene import Light, SceneError
 from . import (
     areas,
     caustics,
@@ -30,86 +26,18 @@ from . import (
     live_image,
     meshes,
     points,
+    sessions,
     stale,
     store,
     vertices,
     visibility,
 )
-from .focus import Focus
 from .lamps import lamp_key
 
-
-@dataclass
-class Session:
-    """What is known about one scene while Blender runs. Nothing here outlives the process."""
-
-    key: str
-    relighter: Relighter | None = None
-    focuses: bool = True  # whether it lets what casts caustics block the lamps
-    edited: bool = False  # its shadows are those of surfaces that differ from what was baked
-    shown: str = ""  # key of the lamps that the image shows
-    landed: int = 0  # key of the caustics whose bounces it shows
-    focus: Focus | None = None  # what these bring to the entries
-    last: dict[str, Light] = field(default_factory=dict)  # the lamps that the image shows, by name
-    static: dict[str, str] = field(default_factory=dict)  # keys of the lamps that are baked in, by name
-    baked_in: tuple[Light, ...] = ()  # these lamps, as they were baked
-    owners: dict[str, bpy.types.Object] = field(default_factory=dict)  # objects of the lamps last read, by lamp's name
-    read: tuple[Scene, Tracer | None] | None = None  # surfaces just read, for the direct light and the caustics
-    panes: bool = True  # whether the bake holds any
-    stale: tuple[str, ...] = ()
-    followed: str = ""  # key of the surfaces where the points are
-    moved: tuple[str, ...] = ()  # what to say about that
-    owes: bool = False  # a mesh that is lit at its vertices was in Edit Mode when the light changed
-    wrote_meshes: bool = False  # light went to vertices, and Blender has yet to report that these meshes changed
-    milliseconds: float = 0.0
-    error: str = ""
-
-
-# On `Lightpanes Irradiance`: key of the lamps that its packed pixels show, so that opening a file costs nothing.
-PACKED = "lightpanes_lamps"
-
-_sessions: dict[int, Session] = {}
 # Renders run frame changes outside the main thread; a relighter has one set of buffers.
 _lock = threading.Lock()
 # How many ask that the light stay as it is.
 _holds = 0
-
-
-def session(scene: bpy.types.Scene) -> Session | None:
-    """The scene's session, None without a bake. Another bake starts another session."""
-    key = store.bake_key(scene)
-    if key is None:
-        _sessions.pop(scene.session_uid, None)
-        return None
-    found = _sessions.get(scene.session_uid)
-    if found is None or found.key != key:
-        image = store.find_image(scene, store.IRRADIANCE)
-        packed = image is not None and not image.is_dirty and not store.is_lost(image) and image.get(PACKED)
-        found = _sessions[scene.session_uid] = _begin(scene, key, shown=packed or "")
-    return found
-
-
-def _begin(scene, key, **more) -> Session:
-    meta = store.read_meta(scene) or {}
-    panes = "panes" not in meta.get("report", {}).get("skipped", {})
-    baked_in = tuple(lamps.from_json(values) for values in meta.get("static_lamps", ()))
-    # what is shown was made with caustics where these are there, whatever the setting has become
-    focuses = scene.lightpanes.caustics or caustics.is_shown(scene)
-    return Session(key, focuses=focuses, static=meta.get("static", {}), baked_in=baked_in, panes=panes, **more)
-
-
-def forget(scene: bpy.types.Scene) -> None:
-    """Drop what was worked out for the scene, its images' light included."""
-    direct.forget(scene)
-    caustics.forget(scene)
-    _sessions.pop(scene.session_uid, None)
-
-
-def adopt(scene: bpy.types.Scene, relighter: Relighter) -> None:
-    """Use this relighter, just made by a bake, instead of making one from the .blend."""
-    direct.forget(scene)
-    caustics.forget(scene)
-    _sessions[scene.session_uid] = _begin(scene, store.bake_key(scene), relighter=relighter)
 
 
 @contextmanager
@@ -142,7 +70,7 @@ def relight(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph | None = 
         raise SceneError(reason)
     scene = context.scene
     with _lock:
-        current = session(scene)
+        current = sessions.of(scene)
         if current is None:
             raise SceneError(f"Scene '{scene.name}' has no bake; press Bake first.")
         current.last.clear()
@@ -167,7 +95,7 @@ def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, at_once: bool
     if _holds or not (scene.lightpanes.live or asked) or not _lock.acquire(blocking=False):
         return False
     try:
-        current = session(scene)
+        current = sessions.of(scene)
         if current is None:
             return False
         lights = _read_lights(depsgraph, current)
@@ -199,13 +127,13 @@ def update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, at_once: bool
 def check_stale(context: bpy.types.Context) -> tuple[str, ...]:
     """Sentences that name the objects and baked-in lamps which changed since the bake; empty while it is valid."""
     scene = context.scene
-    current, meta = session(scene), store.read_meta(scene)
+    current, meta = sessions.of(scene), store.read_meta(scene)
     if current is None or meta is None or "fingerprint" not in meta:
         return ()
     shining = lamps.read_lights(context.evaluated_depsgraph_get(), [])
     now = extract.fingerprint(context)
     if not extract.changed_objects(meta["fingerprint"], now) and not meshes.in_edit_mode():
-        _read_again(current)
+        current.read_again()
     look_again(scene, now)
     current.stale = stale.of_objects(meta["fingerprint"], now) + _follow(context, current, meta, now)
     if meta.get("world", environment.digest(scene.world)) != environment.digest(scene.world):
@@ -216,20 +144,14 @@ def check_stale(context: bpy.types.Context) -> tuple[str, ...]:
 
 def look_again(scene: bpy.types.Scene, now: dict[str, str], of_caustics: bool = False) -> None:
     """Drop what was worked out of other surfaces than these (`extract.fingerprint`). of_caustics: of theirs alone."""
-    if (current := session(scene)) is not None:
+    if (current := sessions.of(scene)) is not None:
         current.read = None
     caustics.look_again(scene, now)
     if not of_caustics:
         direct.look_again(scene, now)
 
 
-def _read_again(current: Session) -> None:
-    """Where the surfaces are as they were baked again, shadows of what they were meanwhile must go."""
-    if current.edited:
-        current.relighter, current.edited, current.shown = None, False, ""
-
-
-def _follow(context, current: Session, meta: dict, now: dict[str, str]) -> tuple[str, ...]:
+def _follow(context, current: sessions.Session, meta: dict, now: dict[str, str]) -> tuple[str, ...]:
     """Let the points follow what has moved, and say how far; the scene is read only where it differs from last time."""
     if points.mesh_of(context.scene) is None:
         return ()
@@ -248,7 +170,7 @@ def _follow(context, current: Session, meta: dict, now: dict[str, str]) -> tuple
     return current.moved
 
 
-def _read_lights(depsgraph, current: Session, rendering: bool = False) -> tuple[Light, ...]:
+def _read_lights(depsgraph, current: sessions.Session, rendering: bool = False) -> tuple[Light, ...]:
     """The lamps that a render or a viewport shows; those that are not live as they were when last shown, and those
     that are baked in not at all."""
     scene, layer, hidden = depsgraph.scene.original, depsgraph.view_layer.name, set()
@@ -279,9 +201,9 @@ def _hidden_lamps(scene, view_layer: str) -> set[str]:
     return {item.name for item in scene.objects if item.type == "LIGHT" and not item.visible_get(view_layer=layer)}
 
 
-def _apply(context, scene, current: Session, lights):
-    relighter = relighter_of(context, current)
-    _focus(scene, current, relighter)
+def _apply(context, scene, current: sessions.Session, lights):
+    relighter = sessions.relighter_of(context, current)
+    sessions.focus(scene, current, relighter)
     begin = time.perf_counter()
     light = relighter.light(lights)
     if relighter.panes.shown is not None:
@@ -292,7 +214,7 @@ def _apply(context, scene, current: Session, lights):
     store.write_irradiance(scene, relighter.image(light))
     current.milliseconds = 1000 * (time.perf_counter() - begin)
     current.shown = lamp_key(lights)
-    for other in _sessions.values():
+    for other in sessions.every():
         if other is not current and other.key == current.key:
             # of a copy of the scene, which shows the same image
             other.shown = ""
@@ -302,31 +224,31 @@ def _apply(context, scene, current: Session, lights):
         raise SceneError(" ".join(told))
 
 
-def _apply_direct(context, scene, current: Session, lights, at_once: bool = True) -> bool:
+def _apply_direct(context, scene, current: sessions.Session, lights, at_once: bool = True) -> bool:
     """Whether the lamps' direct light is baked and had to change."""
     try:
         if not direct.is_baked(scene):
             return False
         asked = direct.ask(scene, lights, current.baked_in, current.owners)
-        return direct.update(context, scene, asked, lambda: surfaces_of(context, current), at_once)
+        return direct.update(context, scene, asked, lambda: sessions.surfaces_of(context, current), at_once)
     finally:
         # they fill memory, and soon are others
         current.read = None
 
 
-def _apply_caustics(context, scene, current: Session, lights, at_once: bool = True) -> bool:
+def _apply_caustics(context, scene, current: sessions.Session, lights, at_once: bool = True) -> bool:
     """Whether the lamps' light is focused by anything, and that had to change."""
     if not caustics.is_baked(scene):
         # what was glass is none any more
         caustics.drop(scene)
         return False
     asked = caustics.ask(scene, lights, current.baked_in)
-    return caustics.update(context, scene, asked, lambda: shapes_of(context, current), at_once)
+    return caustics.update(context, scene, asked, lambda: sessions.shapes_of(context, current), at_once)
 
 
 def bounce(scene: bpy.types.Scene) -> None:
     """After caustics were worked out beside Blender: let the light bounce from where it falls now."""
-    current = _sessions.get(scene.session_uid)
+    current = sessions.begun(scene)
     # whoever has the lock asks for them at once
     if current is None or current.relighter is None or not _lock.acquire(blocking=False):
         return
@@ -343,7 +265,7 @@ def bounce(scene: bpy.types.Scene) -> None:
 
 def switch_caustics(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
     """After `scene.lightpanes.caustics` was set: bring caustics into the bake, or take them out."""
-    current = session(scene)
+    current = sessions.of(scene)
     if current is None:
         return
     with _lock:
@@ -354,7 +276,7 @@ def switch_caustics(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
     areas.redraw_panel()
 
 
-def _switch_caustics(scene, current: Session) -> None:
+def _switch_caustics(scene, current: sessions.Session) -> None:
     if current.focuses != scene.lightpanes.caustics:
         # glass blocks lamps where caustics are on
         current.focuses = scene.lightpanes.caustics
@@ -366,7 +288,7 @@ def _switch_caustics(scene, current: Session) -> None:
 
 def switch_direct(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
     """After `scene.lightpanes.direct` was set: bring the lamps' direct light into the bake, or take it out."""
-    current = session(scene)
+    current = sessions.of(scene)
     if current is None:
         return
     with _lock:
@@ -382,65 +304,6 @@ def switch_direct(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
     areas.redraw_panel()
 
 
-def surfaces_of(context: bpy.types.Context, current: Session) -> tuple[Panes, Scene, Tracer]:
-    """The bake's panes, and the scene's surfaces as they are now, with their shadow rays.
-
-    Raises SceneError where these can't be used.
-    """
-    panes, surfaces = shapes_of(context, current)
-    if current.read[1] is None:
-        current.read = surfaces, caustics.make_tracer(surfaces)
-    return panes, *current.read
-
-
-def shapes_of(context: bpy.types.Context, current: Session) -> tuple[Panes, Scene]:
-    """The same without shadow rays."""
-    panes = relighter_of(context, current).panes
-    if current.read is None:
-        current.read = extract.extract(context, resolution=panes.resolution, albedo=False), None
-    return panes, current.read[0]
-
-
-def image_of(context: bpy.types.Context, current: Session, lights: Sequence[Light]) -> np.ndarray:
-    """(H, W, 4) float32 irradiance under these lamps, W/m², with what bounces off the caustics that were worked out last."""
-    relighter = relighter_of(context, current)
-    _focus(context.scene, current, relighter)
-    return relighter.relight(lights)
-
-
-def _focus(scene, current: Session, relighter: Relighter) -> None:
-    """Let the relighter know of the caustics that were worked out last."""
-    landed = caustics.landed(scene)
-    if landed.key != current.landed or (current.focus is not None and relighter.extra is None):
-        if current.focus is None and landed.landings:
-            current.focus = Focus(relighter.panes.surface, relighter.entry_light.tracer.offset)
-        if current.focus is not None:
-            current.focus.take(landed)
-            relighter.extra = current.focus.of
-        current.landed = landed.key
-
-
-def relighter_of(context: bpy.types.Context, current: Session) -> Relighter:
-    """The session's relighter, made from the bake and the meshes in the .blend where there is none yet.
-
-    Raises SceneError where these can't be used.
-    """
-    scene = context.scene
-    if current.relighter is None:
-        shown = visibility.rendered_objects(context.view_layer)
-        if not any(item.type in extract.GEOMETRY and store.TAG not in item for item in shown):
-            raise SceneError("All meshes of the bake are deleted or hidden; bring them back, or press Clear.")
-        bake = store.load_bake(scene)
-        geometry = extract.extract(context, resolution=bake.resolution, albedo=False)
-        changed = extract.changed_objects(bake.meta.get("fingerprint", {}), extract.fingerprint(context))
-        # what is in Edit Mode has its new shape already
-        current.edited = bool(changed) or meshes.in_edit_mode()
-        tracer = caustics.make_tracer(geometry)
-        current.relighter = Relighter(bake.panes(), tracer)
-        current.read = geometry, tracer
-    return current.relighter
-
-
 def prepare_render(scene: bpy.types.Scene) -> None:
     """Show what a render is to show: lamps that the viewport may hide, and direct light in full."""
     if direct.is_baked(scene):
@@ -451,7 +314,7 @@ def prepare_render(scene: bpy.types.Scene) -> None:
     if not scene.lightpanes.live or scene != bpy.context.scene:
         return
     with _lock:
-        current = session(scene)
+        current = sessions.of(scene)
         if current is None:
             return
         try:
@@ -468,34 +331,13 @@ def prepare_render(scene: bpy.types.Scene) -> None:
 
 def undone(scene: bpy.types.Scene) -> None:
     """Undo brings back an image's packed pixels or keeps its last ones: neither need be what the lamps now ask for."""
-    for current in _sessions.values():
+    for current in sessions.every():
         current.shown = current.followed = ""
-        _read_again(current)
+        current.read_again()
         current.error = ""
     live_image.undone()
-    if session(scene) is not None and not direct.is_baked(scene):
+    if sessions.of(scene) is not None and not direct.is_baked(scene):
         direct.end(scene)
-    if (current := session(scene)) is not None:
+    if (current := sessions.of(scene)) is not None:
         _switch_caustics(scene, current)
     update(scene, bpy.context.evaluated_depsgraph_get())
-
-
-def stop() -> None:
-    """Forget everything, as when another file is opened."""
-    _sessions.clear()
-    live_image.stop()
-
-
-def pack() -> None:
-    """Pack the images that changed, so that they are saved, and note which lamps they show."""
-    shown: dict[bpy.types.Image, str] = {}
-    for scene in bpy.data.scenes:
-        current, image = session(scene), store.find_image(scene, store.IRRADIANCE)
-        if current is not None and image is not None and image.is_dirty:
-            # copies of a scene share it, and one of them has written it
-            shown[image] = shown.get(image) or current.shown
-        direct.note_packed(scene)
-        caustics.note_packed(scene)
-    for image, key in shown.items():
-        image[PACKED] = key
-    store.pack_dirty()

@@ -12,7 +12,7 @@ from ..core import exr
 from ..core.bake import BakeError
 from ..core.files import replacing
 from ..core.scene import SceneError
-from . import caustics, direct, groups, relight, store
+from . import caustics, direct, groups, relight, sessions, store
 
 BY_GROUP = (
     "Also write an image for each group of lamps, for those without one, and for the light that no lamp changes. "
@@ -53,10 +53,10 @@ def save_images(context: bpy.types.Context, folder: Path, by_group: bool = False
 def _shares(context) -> dict[str, np.ndarray]:
     """(H, W, 3) float32 of each group, by what files call it."""
     relight.relight(context)
-    current = relight.session(context.scene)
+    current = sessions.of(context.scene)
     names = groups.in_scene(context.scene, current.static)
     with relight.paused():
-        relighter = relight.relighter_of(context, current)
+        relighter = sessions.relighter_of(context, current)
         parts, steady = groups.shares(relighter, list(current.last.values()), names)
     return dict(zip(groups.file_parts(names).values(), parts, strict=True)) | {groups.STEADY: steady}
 

@@ -24,7 +24,7 @@ from ..core import exr
 from ..core.bake import Progress
 from ..core.files import filling
 from ..core.scene import Light, SceneError
-from . import caustics, direct, engine, extract, groups, lamps, nodes, relight, store, vertices, visibility
+from . import caustics, direct, engine, extract, groups, lamps, nodes, relight, sessions, store, vertices, visibility
 from .work import run
 
 FOLDER = "lightpanes_irradiance"
@@ -80,7 +80,7 @@ def writing(context: bpy.types.Context, folder: Path, frames: range, by_group: b
     scene = context.scene
     if reason := engine.unusable():
         raise SceneError(reason)
-    current = relight.session(scene)
+    current = sessions.of(scene)
     if current is None:
         raise SceneError(f"Scene '{scene.name}' has no bake; press Bake first.")
     manifest = _manifest(scene, frames)
@@ -121,7 +121,7 @@ def _frame_kept(scene: bpy.types.Scene):
 def _write_images(context, stage: Path, frames: range, manifest: dict) -> Steps:
     """All that `manifest` names, and what it can't know beforehand."""
     scene = context.scene
-    current = relight.session(scene)
+    current = sessions.of(scene)
     yield Progress("Reading the bake", 0.0, 0)
     warnings = _Warnings(context, current, frames)
     each = direct.is_baked(scene)
@@ -134,7 +134,7 @@ def _write_images(context, stage: Path, frames: range, manifest: dict) -> Steps:
     focused = _Focused(context, current, stage) if manifest["schema"] == SCHEMA_CAUSTICS else None
     shown, former = "", []
     for number, entry in enumerate(manifest["frames"]):
-        if context.scene != scene or relight.session(scene) is not current:
+        if context.scene != scene or sessions.of(scene) is not current:
             raise SceneError(f"Scene '{scene.name}' was left, or its bake replaced or cleared, meanwhile; start again.")
         scene.frame_set(entry["frame"])
         # at once, for somebody may play the animation meanwhile
@@ -177,7 +177,7 @@ class _Frames:
     told: sentences about lamps that are left out of it.
     """
 
-    def __init__(self, context, current: relight.Session, stage: Path):
+    def __init__(self, context, current: sessions.Session, stage: Path):
         self.context, self.current, self.stage = context, current, stage
         self.key, self.place, self.told = "", None, []
 
@@ -192,7 +192,7 @@ class _Frames:
         self.key = asked[0].key
         with relight.paused():
             light = direct.values(
-                self.context, self.context.scene, asked, lambda: relight.surfaces_of(self.context, self.current)
+                self.context, self.context.scene, asked, lambda: sessions.surfaces_of(self.context, self.current)
             )
         yield from exr.writing(self.place, light)
 
@@ -200,7 +200,7 @@ class _Frames:
 class _Focused:
     """Writes the caustics of each frame."""
 
-    def __init__(self, context, current: relight.Session, stage: Path):
+    def __init__(self, context, current: sessions.Session, stage: Path):
         self.context, self.current, self.stage = context, current, stage
         self.key, self.place = "", None
 
@@ -214,27 +214,27 @@ class _Focused:
         self.key = asked.key
         with relight.paused():
             light = caustics.values(
-                self.context, self.context.scene, asked, lambda: relight.shapes_of(self.context, self.current)
+                self.context, self.context.scene, asked, lambda: sessions.shapes_of(self.context, self.current)
             )
         yield from exr.writing(self.place, light)
 
 
-def _irradiance(context, current: relight.Session, lights) -> np.ndarray:
+def _irradiance(context, current: sessions.Session, lights) -> np.ndarray:
     """(H, W, 3) float32 of what `lightpanes.relight` would show; the image that the user sees is not touched, and follows
     the lamps again once all frames are written."""
     with relight.paused():
-        return relight.image_of(context, current, lights)[..., :3].copy()
+        return sessions.image_of(context, current, lights)[..., :3].copy()
 
 
-def _shares(context, current: relight.Session, lights, names) -> tuple[list[np.ndarray], np.ndarray]:
+def _shares(context, current: sessions.Session, lights, names) -> tuple[list[np.ndarray], np.ndarray]:
     with relight.paused():
-        return groups.shares(relight.relighter_of(context, current), lights, names)
+        return groups.shares(sessions.relighter_of(context, current), lights, names)
 
 
 class _Warnings:
     """Reads the lamps of each frame, and notes what changes that a bake can't follow."""
 
-    def __init__(self, context, current: relight.Session, frames: range):
+    def __init__(self, context, current: sessions.Session, frames: range):
         self.context, self.current = context, current
         self.baked = (store.read_meta(context.scene) or {}).get("fingerprint")
         # hashing every mesh takes longer than a frame's light

@@ -9,9 +9,7 @@ import numpy as np
 
 from ..core.preview import Baked, Settings, Surfaces
 from ..core.scene import Light, Sky
-from . import extract, lamps, prepared, relight, store, textures
-
-CAUSTICS = "Lightpanes Caustics"
+from . import extract, lamps, prepared, sessions, store, textures
 
 
 @dataclass
@@ -58,7 +56,7 @@ def is_fresh(scene: bpy.types.Scene) -> bool:
     """Whether the scene has a bake, and nothing is known to have changed since."""
     if getattr(scene, "lightpanes", None) is None or store.find_entries(scene) is None:
         return False
-    current = relight.session(scene)
+    current = sessions.of(scene)
     return current is not None and not current.stale and not current.error
 
 
@@ -72,11 +70,11 @@ def read_bake(scene: bpy.types.Scene) -> tuple[Baked | None, str]:
     # what lamps bring is traced, so it must not come from the image as well
     held = store.STEADY if store.find_image(scene, store.STEADY) is not None else store.DIRECT
     first = store.read_image(scene, held) if held == store.STEADY or store.holds_direct(scene) else None
-    caustics = store.read_image(scene, CAUSTICS)
+    caustics = store.read_image(scene, store.CAUSTICS)
     images = [
         None if image is None else np.ascontiguousarray(image[..., :3]) for image in (irradiance, first, caustics)
     ]
-    current = relight.session(scene)
+    current = sessions.of(scene)
     return Baked(*images), repr((current.key, current.shown))
 
 

@@ -7,15 +7,19 @@ import numpy as np
 
 CONSTANT_NODES = {"RGB", "VALUE"}
 
+# On materials and worlds that got nodes from us: they had none.
+NO_NODES = "lightpanes_no_nodes"
+
+
+def heeds_nodes(owner: bpy.types.ID) -> bool:
+    """Whether Blender takes the look of a material, lamp or world from its nodes."""
+    # from 5.0 on nodes count whenever they exist, and asking is deprecated
+    return owner.node_tree is not None and (bpy.app.version >= (5, 0) or owner.use_nodes)
+
 
 def uses_nodes(material: bpy.types.Material) -> bool:
     """Whether its own nodes make its look."""
-    # use_nodes is always on, and deprecated, from 5.0
-    return (
-        material.node_tree is not None
-        and "lightpanes_no_nodes" not in material
-        and (bpy.app.version >= (5, 0) or material.use_nodes)
-    )
+    return NO_NODES not in material and heeds_nodes(material)
 
 
 def surface_output(tree: bpy.types.NodeTree) -> bpy.types.Node | None:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import bpy
 
 from . import environment
-from .nodes import FORMER, NO_NODES, NODE_TAG
+from .nodes import FORMER, NODE_TAG
+from .trees import NO_NODES, heeds_nodes
 
 # On our output: the name of the user's, whose world it shows.
 _MEANT = "lightpanes_meant"
@@ -32,7 +33,7 @@ def hide(world: bpy.types.World) -> None:
     """Let EEVEE show the world to the camera and light nothing with it."""
     if is_hidden(world):
         return
-    if environment.uses_nodes(world):
+    if heeds_nodes(world):
         meant = world.node_tree.get_output_node("EEVEE")
     else:
         meant = _make_plain(world)

@@ -80,17 +80,20 @@ def _fraction(values: np.ndarray) -> np.ndarray:
 
 
 def frame(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Tangent and bitangent, two (n, 3) float32, that make right-handed frames with unit normals (n, 3).
+    """Tangent and bitangent, two (n, 3) float32, that make right-handed frames with unit normals (n, 3)."""
+    tangent, bitangent = frame_parts(*np.asarray(normals, np.float32).T)
+    return np.stack(tangent, axis=1), np.stack(bitangent, axis=1)
+
+
+def frame_parts(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """The same by components: three of the tangent and three of the bitangent, from those of the unit normals.
 
     Branchless and exact near −Z (Duff et al., Building an Orthonormal Basis, Revisited, 2017).
     """
-    x, y, z = np.asarray(normals, np.float32).T
     sign = np.copysign(np.float32(1), z)
     a = -1 / (sign + z)
     b = x * y * a
-    tangent = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=1)
-    bitangent = np.stack([b, sign + y * y * a, -y], axis=1)
-    return tangent, bitangent
+    return [1 + sign * x * x * a, sign * b, -sign * x], [b, sign + y * y * a, -y]
 
 
 def concentric_disk(u: np.ndarray) -> np.ndarray:

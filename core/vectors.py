@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from .sampling import frame_parts
+
 _F = np.float32
 
 
@@ -53,12 +55,4 @@ def normalised(v: np.ndarray) -> np.ndarray:
 
 def around(axis, a, b, c) -> list[np.ndarray]:
     """a, b, c along a tangent, a bitangent and the unit axis itself, in the world (the frame of `sampling.frame`)."""
-    x, y, z = axis
-    sign = np.copysign(_F(1), z)
-    s = -1 / (sign + z)
-    t = x * y * s
-    return [
-        (1 + sign * x * x * s) * a + t * b + x * c,
-        sign * t * a + (sign + y * y * s) * b + y * c,
-        -sign * x * a - y * b + z * c,
-    ]
+    return [t * a + u * b + n * c for t, u, n in zip(*frame_parts(*axis), axis, strict=True)]

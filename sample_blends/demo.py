@@ -16,7 +16,7 @@ from pathlib import Path
 import bpy
 import lightpanes
 import numpy as np
-from lightpanes.addon import baking, commands, relight
+from lightpanes.addon import baking, commands, sessions
 from lightpanes.core.bake import Progress
 from lightpanes.core.metrics import relative_rmse
 
@@ -84,7 +84,7 @@ def _relight_all(scene, bar) -> dict:
     frames = range(scene.frame_start, scene.frame_end + 1)
     for number, frame in enumerate(frames):
         scene.frame_set(frame)
-        milliseconds.append(relight.session(scene).milliseconds)
+        milliseconds.append(sessions.of(scene).milliseconds)
         bar(Progress("Relight every frame", BAKE_SHARE + RELIGHT_SHARE * number / len(frames), 0))
     return {
         "frames": len(frames),

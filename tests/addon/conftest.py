@@ -72,6 +72,17 @@ def baked_panel(panel, saved):
     return baked_once(panel, saved)
 
 
+@pytest.fixture
+def unwatched():
+    """No handler follows changes meanwhile: only the timer does, and the test itself."""
+    from lightpanes.addon import following
+
+    handlers = bpy.app.handlers.depsgraph_update_post
+    handlers.remove(following._on_update)
+    yield
+    handlers.append(following._on_update)
+
+
 def furnish():
     """The room, in the empty scene that is there."""
     scene = bpy.context.scene

@@ -8,7 +8,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from lightpanes.addon import animation, commands, extract, relight, sequence, store  # noqa: E402
+from lightpanes.addon import animation, commands, extract, relight, sequence, sessions, store  # noqa: E402
 from lightpanes.core.panes import Relighter  # noqa: E402
 from lightpanes.core.rays import Tracer  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
@@ -161,7 +161,7 @@ def test_frame_and_light_are_as_before(baked, tmp_path, live):
 def test_from_a_reopened_file(baked, tmp_path):
     write(tmp_path / "a")
     scene = reopen(tmp_path)
-    assert relight.session(scene).relighter is None
+    assert sessions.of(scene).relighter is None
     write(tmp_path / "b")
     for number in (1, 4):
         name = f"irradiance_{number:04d}.exr"

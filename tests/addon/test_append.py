@@ -5,7 +5,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from lightpanes.addon import nodes, panel, preflight, relight, store  # noqa: E402
+from lightpanes.addon import nodes, panel, preflight, relight, sessions, store  # noqa: E402
 from lightpanes.addon.meshes import BAKE  # noqa: E402
 
 from .conftest import furnish  # noqa: E402
@@ -115,7 +115,7 @@ def test_an_appended_object_beside_a_bake_keeps_its_own_light(library):
     (told,) = found("FOREIGN_LIGHT")
     assert told.names == ("Block.001",) and not told.button
     bpy.ops.lightpanes.relight()
-    assert relight.session(scene).stale == ("'Block.001' was added since the bake; bake again.",)
+    assert sessions.of(scene).stale == ("'Block.001' was added since the bake; bake again.",)
     bpy.ops.lightpanes.clear()
     assert not ours() and not found("FOREIGN_LIGHT")
 

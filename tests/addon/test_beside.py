@@ -8,7 +8,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from lightpanes.addon import beside, commands, panel, relight, store  # noqa: E402
+from lightpanes.addon import beside, commands, panel, sessions, store  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
 
 from .drawing import draw, paragraph, texts  # noqa: E402
@@ -72,7 +72,7 @@ def move_lamp(scene, x=0.4):
 
 def follows(scene):
     """The image follows the lamp, from what is stored alone."""
-    relight.forget(scene)
+    sessions.forget(scene)
     before = image(scene)
     move_lamp(scene, 0.45)
     after = image(scene)
@@ -130,9 +130,9 @@ def test_each_save_writes_what_changed(baked, tmp_path):
     scene = open_file(blend)
     assert np.array_equal(image(scene), shown)
     # it shows what the lamps are, so that opening costs nothing
-    assert relight.session(scene).shown and relight.session(scene).relighter is None
+    assert sessions.of(scene).shown and sessions.of(scene).relighter is None
     bpy.context.view_layer.update()
-    assert relight.session(scene).relighter is None
+    assert sessions.of(scene).relighter is None
 
 
 def test_the_blend_is_small(baked, tmp_path):
@@ -278,7 +278,7 @@ def test_a_missing_file_is_named(baked, tmp_path):
     with pytest.raises(RuntimeError, match="is missing: put it back, or bake again"):
         bpy.ops.lightpanes.relight()
     move_lamp(scene)
-    assert relight.session(scene).error == sentence
+    assert sessions.of(scene).error == sentence
     # saving it like this loses nothing more
     bpy.ops.wm.save_mainfile()
     os.rename(tmp_path / "kept", lost)
@@ -501,5 +501,5 @@ def test_direct_light_whose_file_is_missing_says_so(room, tmp_path, capfd):
     steady.unlink()
     scene = open_file(tmp_path / "room.blend")
     scene.lightpanes.direct = "OFF"
-    assert f"'{steady}' of this bake is missing" in relight.session(scene).error
+    assert f"'{steady}' of this bake is missing" in sessions.of(scene).error
     assert "Traceback" not in capfd.readouterr().err

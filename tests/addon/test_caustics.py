@@ -1,14 +1,13 @@
 """Caustics in a bake: there where glass or metal is, live, never twice, and gone without a trace."""
 
 import json
-import time
 
 import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from lightpanes.addon import caustics, commands, following, live_image, relight, store  # noqa: E402
+from lightpanes.addon import caustics, commands, following, live_image, relight, sessions, store  # noqa: E402
 from lightpanes.addon import panel as drawn_panel  # noqa: E402
 from lightpanes.core.caustics import CausticAtlas  # noqa: E402
 
@@ -17,6 +16,7 @@ from .files import baked_once, reopen  # noqa: E402
 from .glassware import ball, image, material  # noqa: E402
 from .soft import EEVEE, camera, render  # noqa: E402
 from .test_relight import update  # noqa: E402
+from .windows import follow, look  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("quick")
 
@@ -69,7 +69,7 @@ def test_it_bounces(baked):
     before = image(store.IRRADIANCE)
     assert bpy.ops.lightpanes.relight() == {"FINISHED"}
     assert np.allclose(image(store.IRRADIANCE), before, rtol=1e-3, atol=1e-4)
-    current = relight.session(baked)
+    current = sessions.of(baked)
     current.relighter.extra = lambda light: None
     shadowed = current.relighter.relight(tuple(current.last.values()))[..., :3]
     assert before.sum() > 1.005 * shadowed.sum()
@@ -162,10 +162,10 @@ def test_nothing_without_casters(room, monkeypatch):
     assert bpy.ops.lightpanes.bake() == {"FINISHED"}
     assert store.find_image(room, store.CAUSTICS) is None
     assert "caustics" not in store.read_meta(room)["report"]
-    monkeypatch.setattr(relight, "shapes_of", None)
+    monkeypatch.setattr(sessions, "shapes_of", None)
     bpy.data.objects["Lamp"].location.x += 0.1
     update()
-    assert relight.session(room).error == ""
+    assert sessions.of(room).error == ""
     bpy.data.objects["Block"].location.x += 0.1
     update()
     assert store.find_image(room, store.CAUSTICS) is None
@@ -229,28 +229,13 @@ def test_two_scenes(baked):
 # ---- in a window ----
 
 
-def follow():
-    """What a window does after a change."""
-    relight.update(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), at_once=False)
-
-
-def look(until, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not until():
-        assert time.monotonic() < end
-        live_image.look()
-        time.sleep(0.001)
-
-
 @pytest.fixture
-def window(baked, monkeypatch):
+def window(baked, unwatched, monkeypatch):
     """Changes are followed by the timer alone."""
-    bpy.app.handlers.depsgraph_update_post.remove(following._on_update)
     monkeypatch.setattr(live_image, "REST", 1e9)
     monkeypatch.setattr(caustics, "SLICE", 0.0)
     monkeypatch.setattr(caustics, "STREAM", 0.0)
-    yield baked
-    bpy.app.handlers.depsgraph_update_post.append(following._on_update)
+    return baked
 
 
 def move(x):

@@ -7,12 +7,13 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from lightpanes.addon import caustics, extract, following, live_image, relight, store  # noqa: E402
+from lightpanes.addon import caustics, extract, live_image, store  # noqa: E402
 
 from .files import baked_once  # noqa: E402
 from .glassware import ball, image  # noqa: E402
 from .soft import EEVEE  # noqa: E402
 from .test_relight import update  # noqa: E402
+from .windows import follow, look  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("quick")
 
@@ -38,27 +39,17 @@ def live(baked):
 
 
 @pytest.fixture
-def window(baked, monkeypatch):
+def window(baked, unwatched, monkeypatch):
     """Changes are followed by the timer alone."""
-    bpy.app.handlers.depsgraph_update_post.remove(following._on_update)
     monkeypatch.setattr(live_image, "REST", 0.0)
-    yield baked
-    bpy.app.handlers.depsgraph_update_post.append(following._on_update)
+    return baked
 
 
 def drag(x):
     """Move the lamp, as in a window."""
     bpy.data.objects["Lamp"].location.x = x
     update()
-    relight.update(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), at_once=False)
-
-
-def look(until, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not until():
-        assert time.monotonic() < end
-        live_image.look()
-        time.sleep(0.001)
+    follow()
 
 
 def differs(first, second):

@@ -4,7 +4,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from lightpanes.addon import following, relight, world_light  # noqa: E402
+from lightpanes.addon import following, relight, sessions, world_light  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("quick")
 
@@ -70,7 +70,7 @@ def test_the_world_is_looked_at_again_when_it_changes(world, monkeypatch):
     seen = []
 
     def note(scene, depsgraph):
-        current = relight.session(scene)
+        current = sessions.of(scene)
         seen.extend(change.id.name for change in depsgraph.updates if following._may_stale(scene, current, change))
 
     bpy.app.handlers.depsgraph_update_post.append(note)

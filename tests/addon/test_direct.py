@@ -1,14 +1,13 @@
 """The lamps' direct light in the bake: as Cycles has it, live, never twice, and gone without a trace."""
 
 import json
-import time
 
 import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from lightpanes.addon import commands, direct, following, linking, live_image, relight, store  # noqa: E402
+from lightpanes.addon import commands, direct, linking, live_image, relight, sessions, store  # noqa: E402
 from lightpanes.addon import panel as drawn_panel  # noqa: E402
 from lightpanes.core.metrics import relative_rmse  # noqa: E402
 from lightpanes.core.penumbra import DirectLight  # noqa: E402
@@ -18,6 +17,7 @@ from .files import reopen  # noqa: E402
 from .soft import EEVEE, camera, error, image, linked, render, shine, sky, yard  # noqa: E402
 from .test_nodes import tree_state  # noqa: E402
 from .test_relight import update  # noqa: E402
+from .windows import follow, look  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("quick")
 
@@ -119,7 +119,7 @@ def test_clear_restores_everything(panel):
     assert bpy.ops.lightpanes.clear() == {"FINISHED"}
     assert linked() == {} and before == (states(), len(bpy.data.images), len(bpy.data.collections))
     update()
-    assert panel.lightpanes.direct == "BAKED" and not relight.session(panel)
+    assert panel.lightpanes.direct == "BAKED" and not sessions.of(panel)
 
 
 def test_a_bake_has_cast_the_lamps_when_it_ends(panel, monkeypatch):
@@ -233,27 +233,11 @@ def test_not_live_until_asked(baked_panel):
 # ---- in a window ----
 
 
-def follow():
-    """What a window does after a change."""
-    relight.update(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), at_once=False)
-
-
-def look(until, seconds=20.0):
-    """Let the timer look until something holds."""
-    end = time.monotonic() + seconds
-    while not until():
-        assert time.monotonic() < end
-        live_image.look()
-        time.sleep(0.001)
-
-
 @pytest.fixture
-def window(baked_panel, monkeypatch):
+def window(baked_panel, unwatched, monkeypatch):
     """Changes are followed by the timer alone."""
-    bpy.app.handlers.depsgraph_update_post.remove(following._on_update)
     monkeypatch.setattr(live_image, "REST", 1e9)
-    yield baked_panel
-    bpy.app.handlers.depsgraph_update_post.append(following._on_update)
+    return baked_panel
 
 
 def move(x):

@@ -7,7 +7,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from lightpanes.addon import commands, groups, panel, relight, store  # noqa: E402
+from lightpanes.addon import commands, groups, panel, relight, sessions, store  # noqa: E402
 
 from .drawing import Context, draw, texts  # noqa: E402
 from .files import baked_once, reopen  # noqa: E402
@@ -85,7 +85,7 @@ def test_by_default_there_is_the_sum_alone(baked, tmp_path):
 
 def test_saving_by_group_from_a_reopened_file(baked, tmp_path):
     scene = reopen(tmp_path)
-    assert relight.session(scene).relighter is None
+    assert sessions.of(scene).relighter is None
     bpy.ops.lightpanes.save_images(directory=str(tmp_path / ".."), groups=True)
     folder = tmp_path / ".."
     parts = sum(rgb(folder / f"Lightpanes Irradiance_{word}.exr") for word in ("Key", "Fill", "Rest", "Steady"))
@@ -182,8 +182,8 @@ def test_the_panels(grouped):
 
 def test_a_group_needs_no_new_bake_and_no_relight(grouped):
     assert bpy.ops.lightpanes.bake() == {"FINISHED"}
-    shown = relight.session(grouped).shown
+    shown = sessions.of(grouped).shown
     bpy.data.lights["Lamp"].lightpanes.group = "Late"
     bpy.context.view_layer.update()
-    assert relight.session(grouped).shown == shown and not relight.check_stale(bpy.context)
+    assert sessions.of(grouped).shown == shown and not relight.check_stale(bpy.context)
     assert groups.in_scene(grouped) == ["Fill", "Key", "Late"]

@@ -7,7 +7,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from lightpanes.addon import baking, job, relight, store  # noqa: E402
+from lightpanes.addon import baking, job, relight, sessions, store  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
 
 from .test_operators import bake_state, everything  # noqa: E402
@@ -46,7 +46,7 @@ def test_it_bakes_what_the_blocking_one_does(room):
     ended = drive()
     assert ended.report["error"] < 0.5 and not ended.error and not job.running()
     assert {name: image.tobytes() for name, image in store.load_bake(room).images.items()} == images
-    assert relight.session(room).relighter is not None and not relight.check_stale(bpy.context)
+    assert sessions.of(room).relighter is not None and not relight.check_stale(bpy.context)
 
 
 def test_progress_never_goes_back_and_tells_time_and_error(room, monkeypatch):

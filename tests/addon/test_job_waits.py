@@ -7,7 +7,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from lightpanes.addon import baking, job, relight, store, vertices, waiting  # noqa: E402
+from lightpanes.addon import baking, job, relight, sessions, store, vertices, waiting  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
 
 from .test_job import drive, ended, stage  # noqa: E402, F401
@@ -175,7 +175,7 @@ def test_cancelled_too_late_it_is_finished(room, monkeypatch):
     running = drive(lambda _: store.find_entries(room) is not None)
     running.cancel()
     assert running.advance() and running.report is not None and not running.error
-    assert relight.session(room).shown and not relight.check_stale(bpy.context)
+    assert sessions.of(room).shown and not relight.check_stale(bpy.context)
     assert np.array(store.find_image(room, store.IRRADIANCE).pixels).max() > 0
 
 

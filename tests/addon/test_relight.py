@@ -7,7 +7,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from lightpanes.addon import relight, store  # noqa: E402
+from lightpanes.addon import relight, sessions, store  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
 
 from .files import baked_once, reopen  # noqa: E402
@@ -265,7 +265,7 @@ def test_opening_computes_nothing(baked, tmp_path):
     scene = reopen(tmp_path)
     update()
     assert np.array_equal(image(), before)
-    assert relight.session(scene).relighter is None
+    assert sessions.of(scene).relighter is None
 
 
 def test_two_scenes(baked):
@@ -313,7 +313,7 @@ def test_deleted_object_is_named_and_light_still_follows(baked, tmp_path):
     update()
     assert image().max() == 0
     assert bpy.ops.lightpanes.relight() == {"FINISHED"}
-    assert relight.session(bpy.context.scene).stale == ("'Block' was deleted or hidden since the bake; bake again.",)
+    assert sessions.of(bpy.context.scene).stale == ("'Block' was deleted or hidden since the bake; bake again.",)
 
 
 @pytest.mark.parametrize("way", ["undo", "delete"])
@@ -346,7 +346,7 @@ def test_all_meshes_deleted(baked, tmp_path, capfd):
     bpy.data.lights["Lamp"].energy = 1.0
     update()
     message = "All meshes of the bake are deleted or hidden; bring them back, or press Clear."
-    assert relight.session(bpy.context.scene).error == message
+    assert sessions.of(bpy.context.scene).error == message
     update()
     assert capfd.readouterr().out.count(message) == 1
     with pytest.raises(RuntimeError, match=message):
@@ -432,6 +432,6 @@ def test_light_at_vertices_after_edit_mode(room):
     edit()
     bpy.data.lights["Lamp"].energy *= 2
     update()
-    assert not relight.session(room).error
+    assert not sessions.of(room).error
     leave()
     assert np.allclose(light(), 2 * before, rtol=1e-4, atol=1e-6)

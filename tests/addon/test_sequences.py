@@ -17,7 +17,7 @@ import lightpanes  # noqa: E402
 from hypothesis import HealthCheck, Phase, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule  # noqa: E402
-from lightpanes.addon import baking, direct, job, nodes, relight, store  # noqa: E402
+from lightpanes.addon import baking, direct, job, nodes, relight, sessions, store  # noqa: E402
 
 from .conftest import SMALL, furnish  # noqa: E402
 from .files import empty  # noqa: E402
@@ -233,11 +233,11 @@ class Sequences(RuleBasedStateMachine):
         if not self.meshes:
             return
         shown = self.pixels()
-        relight.forget(self.scene)
+        sessions.forget(self.scene)
         direct.forget(self.scene)
         relight.relight(bpy.context)
         # a bake whose objects are gone can't be read anew, and says so
-        if not relight.session(self.scene).stale:
+        if not sessions.of(self.scene).stale:
             for before, fresh in zip(shown, self.pixels(), strict=True):
                 assert np.allclose(before, fresh, rtol=1e-3, atol=1e-4 * max(fresh.max(), 1e-6))
 

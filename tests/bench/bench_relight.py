@@ -9,7 +9,7 @@ from dataclasses import replace
 import bpy
 import lightpanes
 import numpy as np
-from lightpanes.addon import relight
+from lightpanes.addon import sessions
 from lightpanes.core.bake import Settings, bake
 from lightpanes.core.panes import Relighter
 from lightpanes.core.rays import Tracer
@@ -40,7 +40,7 @@ def drag_row() -> dict:
         lamp.location = start + 0.1 * Vector(np.sin(0.7 * k + np.arange(3)))
         bpy.context.view_layer.update()
         took.append(time.perf_counter() - began)
-        seen.add(relight.session(scene).shown)
+        seen.add(sessions.of(scene).shown)
     rate = 1 / float(np.median(took))
     return harness.row("a lamp dragged, cornell: updates a second", rate, 20, "1/s", at_least=True, ok=rate >= 20 and len(seen) == MOVES, detail=f"{MOVES} moves through Blender's handlers, redraw excluded")  # fmt: skip
 

@@ -280,7 +280,7 @@ def steps():
     shot("after")
     found["moved"] = (lamp.matrix_world.translation - __import__("mathutils").Vector(where)).length
     found["relit"] = store.find_image(scene, store.IRRADIANCE).pixels[:] != pixels
-    found["relight_ms"] = module("addon.relight").session(scene).milliseconds
+    found["relight_ms"] = module("addon.sessions").of(scene).milliseconds
 
     space.shading.type = "SOLID"
     scene.lightpanes.seed = 3
