@@ -98,7 +98,9 @@ def _bake(scene, settings, clock, kept):
     report = {
         "error": error,
         "error_parts": parts,
-        "concentration": 0.0 if made.test_direct is None else concentration(made.weights, made.entries.area, made.test_direct),
+        "concentration": 0.0
+        if made.test_direct is None
+        else concentration(made.weights, made.entries.area, made.test_direct),
         "skipped": {} if made.test_direct is not None else {"panes": "no lamp is live"},
         "error_target": settings.error_target,
         "seconds": round(clock.spent, 3),

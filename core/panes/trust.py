@@ -1,8 +1,8 @@
 """How far the light can be trusted under the lamps as they are now: known before anybody looks.
 
-What the panes leave out of a lamp's field is measured at each relight, by a sketch that the bake keeps of it. The noise of
-the gather, and what points lose between them, was measured by the bake for its test lamps; it grows as light gathers on few
-entries, which few rays meet, and so it is scaled by how much more the present lamps do that.
+What the panes leave out of a lamp's field is measured at each relight, by a sketch that the bake keeps of it. All other
+error was measured by the bake for its test lamps. It grows as light gathers on few entries, whose size then shows and which
+few rays meet, and so it is scaled by how much more the present lamps do that.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class Expected:
 
 def expected_of(report: Mapping) -> Expected:
     """From a bake's report."""
-    parts = report.get("error_parts", {})
-    rest = float(np.sqrt(sum(part**2 for name, part in parts.items() if name != "panes")))
+    panes = report.get("error_parts", {}).get("panes", 0.0)
+    rest = float(np.sqrt(max(report.get("error", 0.0) ** 2 - panes**2, 0.0)))
     return Expected(report.get("error_target", 1.0), rest, report.get("concentration", 0.0))
 
 

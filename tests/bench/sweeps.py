@@ -75,8 +75,8 @@ class Swept:
 class Sweeps:
     """The scene, the bake that sweeps are relit by, clusters with its entries and rays, and the truth's preparations."""
 
-    def __init__(self, settings: Settings, truth: Settings, truth_rays: int):
-        self.scene = rooms()
+    def __init__(self, made: Scene, settings: Settings, truth: Settings, truth_rays: int):
+        self.scene = made
         self.settings, self.truth_rays = settings, truth_rays
         self.baked = bake(self.scene, settings)
         self.relighter = Relighter(self.baked.panes(), Tracer(self.scene))
