@@ -16,25 +16,29 @@ from ..scene import Light
 from .relighter import Relighter
 from .weights import PaneWeights
 
+MARGIN = 1.25
+"""Error over that of the bake itself from which on a lamp is worth a word, where the bake missed what was asked for."""
+
 CLOSE = 1.0
 """A lamp is close to a surface within this many times the entry's size there."""
 
 
 @dataclass(frozen=True)
 class Expected:
-    """Of a bake. target: error asked for. rest: relative RMSE of all that is not the panes', for lamps such as it was
-    measured with; gathered: `concentration` of these, 0 where the bake is too old to know."""
+    """Of a bake, relative RMSEs. target: asked for. error: measured, of the lamps that it was tried with; rest: all of that
+    which is not the panes'. gathered: `concentration` of these lamps, 0 where the bake is too old to know."""
 
-    target: float
-    rest: float
-    gathered: float
+    target: float = 1.0
+    error: float = 0.0
+    rest: float = 0.0
+    gathered: float = 0.0
 
 
 def expected_of(report: Mapping) -> Expected:
     """From a bake's report."""
-    panes = report.get("error_parts", {}).get("panes", 0.0)
-    rest = float(np.sqrt(max(report.get("error", 0.0) ** 2 - panes**2, 0.0)))
-    return Expected(report.get("error_target", 1.0), rest, report.get("concentration", 0.0))
+    error, panes = report.get("error") or 0.0, report.get("error_parts", {}).get("panes", 0.0)
+    rest = float(np.sqrt(max(error**2 - panes**2, 0.0)))
+    return Expected(report.get("error_target", 1.0), error, rest, report.get("concentration", 0.0))
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,10 @@ class Trust:
     worst: Light | None
     close: bool
     nowhere: tuple[Light, ...]
+
+    def warns(self, expected: Expected) -> bool:
+        """Whether the user must know: more error than was asked for, and than the bake has said it has anyway."""
+        return self.error is not None and self.error > max(expected.target, MARGIN * expected.error)
 
 
 def trust(relighter: Relighter, lights: Sequence[Light], expected: Expected) -> Trust:
@@ -99,6 +107,6 @@ def _is_close(relighter, light):
     if light.kind == "SUN":
         return False
     surface = relighter.panes.surface
-    each = len(surface.position) // max(len(surface), 1)
-    apart = np.linalg.norm(surface.position - light.position.astype(np.float32), axis=1)
-    return bool((apart.reshape(-1, each).min(axis=1) < CLOSE * surface.size).any())
+    # a place of each: one a row of `size`
+    place = surface.position[:: len(surface.position) // max(len(surface), 1)]
+    return bool((np.linalg.norm(place - light.position.astype(np.float32), axis=1) < CLOSE * surface.size).any())

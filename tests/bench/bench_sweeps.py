@@ -11,6 +11,7 @@ import json
 from collections.abc import Iterator
 
 import bpy
+import lightpanes
 import numpy as np
 from lightpanes.addon.reference import cycles_bake
 from lightpanes.core import metrics
@@ -40,6 +41,15 @@ ROW = range(96, 104)
 
 
 def rows() -> Iterator[dict]:
+    # Cycles is asked with lamps as scenes hold them
+    lightpanes.register()
+    try:
+        yield from _all_rows()
+    finally:
+        lightpanes.unregister()
+
+
+def _all_rows():
     made = sweep_scene.open_rooms(SIZE)
     settings = Settings(error_target=TARGET, resolution=SIZE, exits="texels")
     truth = Settings(error_target=TARGET, resolution=SIZE, exits="texels", **TRUTH)
