@@ -28,11 +28,9 @@ def rooms():
 def test_error_and_flicker_are_bounded(rooms, name):
     found = rooms.sweep(name, FRAMES)
     error, flicker = BOUNDS[name]
-    ours, clusters = found.errors["eigenpanes"], found.errors["256 clusters"]
+    ours = found.errors["eigenpanes"]
     assert np.nanmedian(ours) < error
     assert found.flicker["eigenpanes"] < flicker
-    # so near to a surface it is the entries' size that errs, with either
-    assert np.nanmedian(ours) < (2 if name == "surface at 1 cm" else 1.4) * np.nanmedian(clusters)
     # where the lamp is in the wall the truth is black: the detector says so, there alone
     assert [bool(one.nowhere) for one in found.trusts] == np.isnan(ours).tolist()
     assert np.isnan(ours).any() == (name == "a wall")
