@@ -1,6 +1,6 @@
 """Lamps that pass where panes are bad: 200 frames of each sweep, eigenpanes against clusters against Cycles.
 
-Error is against Cycles at many samples on every tenth frame; flicker is against the uncompressed solve of more entries, on
+Error is against Cycles at many samples on every twentieth frame; flicker is against the uncompressed solve of more entries, on
 all frames. `Cycles at its usual samples` is that of one path traced bake a frame, on the same frames, its flicker on some in
 a row. The detector's word on each frame is held against the error.
 """
@@ -19,19 +19,19 @@ from lightpanes.core.bake import Settings
 
 from . import cycles, harness, sweep_charts, sweep_scene, sweeps
 
-FRAMES, STEP = 200, 10
+FRAMES, FIRST, STEP = 200, 5, 20
 SIZE = 64
 """Texels a side of the atlas: 6 to 16 cm each."""
 
 TARGET = 0.1
 """Error asked for."""
 
-TRUTH = {"entries": 6000, "entry_rays": 1024, "lamps": 50, "regions": 48, "panes": 4}
-TRUTH_RAYS = 384
+TRUTH = {"entries": 6000, "entry_rays": 512, "lamps": 50, "regions": 48, "panes": 4}
+TRUTH_RAYS = 256
 
 SPP = {"surface at 1 cm": 768}
 """Samples of each half of Cycles' reference."""
-SPP_ELSE = 256
+SPP_ELSE = 192
 
 USUAL = 96
 """Samples a texel of a bake as users make it."""
@@ -68,7 +68,7 @@ def _all_rows():
 def _held_to_cycles(name, found: sweeps.Swept) -> dict:
     """JSON-able figures of a sweep."""
     places = np.linspace(*sweeps.PATHS[name], FRAMES)
-    at = np.arange(STEP // 2, FRAMES, STEP)
+    at = np.arange(FIRST, FRAMES, STEP)
     spp = SPP.get(name, SPP_ELSE)
     dark = np.isnan(found.errors["eigenpanes"])
     errors = {key: np.full(len(at), np.nan) for key in (*found.images, "Cycles", "uncompressed")}
