@@ -36,7 +36,7 @@ SPP_ELSE = 192
 USUAL = 96
 """Samples a texel of a bake as users make it."""
 
-ROW = range(96, 104)
+ROW = range(40, 48)
 """Frames in a row for Cycles' own flicker."""
 
 
