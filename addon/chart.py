@@ -7,7 +7,7 @@ one at a time, so that no steady light hides their error. The open file is chang
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import bpy
@@ -21,9 +21,22 @@ from ..core.scene import Scene, SceneError
 from ..core.surface import make_patches, make_texels
 from ..core.transfer import find_entries, make_gatherer
 from ..core.transfer.entries import PLACES
-from . import atlas, baking, caustics, lamps, methods, reference, relight, store
+from . import atlas, baking, caustics, denoised, lamps, methods, preview_study, reference, relight, store
 from .extract import extract
+from .studies import STUDIES, Subject
 from .trees import surface_output
+
+WAYS = {
+    "cycles": "Cycles",
+    "denoised": "Cycles, OpenImageDenoise",
+    "paper": "The paper's method",
+    "clusters": "The paper's panes, our gather",
+    "panes": "Lightpanes",
+}
+"""What error against time is drawn of, by the names that the command line knows."""
+
+NAMES = (*WAYS, *STUDIES, "preview")
+"""All that can be asked for."""
 
 RESOLUTION = 256
 """Texels a side, as in a bake."""
@@ -80,16 +93,30 @@ def measure(
     resolution: int = RESOLUTION,
     seed: int = 0,
     progress: Callable[[Progress], None] = lambda _: None,
+    names: Sequence[str] = tuple(WAYS),
 ) -> dict:
     """The chart's figures, JSON-able. Takes the scene's bake, lamps, sky and emission away: don't save it.
 
-    "lamps": kind, place and room of each. "methods": by name a list of points with "error" (mean over the lamps),
+    names: of NAMES, what to measure. "studies": by name what studies.py says of theirs. "lamps": kind, place and room of each. "methods": by name a list of points with "error" (mean over the lamps),
     "errors", "bake_s", "relight_s", "entries", "rays", "bytes" (or "spp"). "notes": sentences on what was left out.
     Raises SceneError for scenes that cannot be baked.
     """
     steps = Steps(progress)
+    studies = {}
+    if "preview" in names:
+        steps.begin("Study: preview", 30)
+        studies["preview"] = preview_study.measure(context)
     steps.begin("Reading the scene", 2)
     notes: list[str] = []
+    if asked := [name for name in STUDIES if name in names]:
+        # before glass is blackened: one of them is of caustics
+        own = lamps.read_lights(context.evaluated_depsgraph_get(), [])
+        scene, _ = _open(context, resolution)
+        tests = find_lamps(scene, resolution, seed)
+        subject = Subject(scene, resolution, seed, tuple(test.place for test in tests), tuple(own))
+        for name in asked:
+            steps.begin(f"Study: {name}", 30)
+            studies[name] = STUDIES[name](subject)
     if focusing := blacken():
         notes.append(
             f"Black in this chart, for Cycles and for us: {', '.join(focusing)}. What glass and smooth metal focus is not "
@@ -97,12 +124,20 @@ def measure(
         )
     scene, extracting = _open(context, resolution)
     tests = find_lamps(scene, resolution, seed)
+    wanted = [WAYS[name] for name in WAYS if name in names]
+    found: dict[str, list[dict]] = {}
+    truths: list[Truth] = []
     with relight.paused():
         lamp = _put_lamp(context)
-        truths, cycles = _cycles(context, lamp, tests, resolution, steps)
+        if wanted:
+            truths, found = _cycles(context, lamp, tests, resolution, steps, wanted, notes)
         shining = [_move(context, lamp, test) for test in tests]
         base = Settings(resolution=resolution, seed=seed)
-        ladders = {name: list(_ladder(name, scene, base, shining, truths, steps, notes)) for name in methods.METHODS}
+        ladders = {
+            name: list(_ladder(name, scene, base, shining, truths, steps, notes))
+            for name in methods.METHODS
+            if name in wanted
+        }
         for _ in range(ROUNDS - 1):
             for name, ladder in ladders.items():
                 for number, rung in enumerate(ladder, 1):
@@ -110,7 +145,6 @@ def measure(
                     if disturbed or rung.seconds < LONG:
                         steps.begin(f"{name}, {number} of {len(ladder)} again", rung.seconds)
                         rung.time(methods.METHODS[name](scene, rung.settings, steps.tick), shining)
-    found = {"Cycles": cycles}
     found |= {name: [rung.point(extracting) for rung in ladder] for name, ladder in ladders.items()}
     progress(Progress("Done", 1.0, 0))
     return {
@@ -123,6 +157,7 @@ def measure(
         "reference_noise": [round(truth.noise, 5) for truth in truths],
         "lamps": [{"kind": t.kind, "place": [round(x, 4) for x in t.place], "room_m": round(t.room, 4)} for t in tests],
         "methods": found,
+        "studies": studies,
         "notes": notes,
     }
 
@@ -261,8 +296,12 @@ def _move(context, lamp, test) -> tuple:
     return tuple(light for light in shining if light.power.any())
 
 
-def _cycles(context, lamp, tests, resolution, steps) -> tuple[list[Truth], list[dict]]:
-    """The references, and Cycles' points: time of a bake for one lamp, mean over the lamps."""
+def _cycles(context, lamp, tests, resolution, steps, wanted, notes) -> tuple[list[Truth], dict[str, list[dict]]]:
+    """The references, and the points of Cycles' ways that are wanted: time of a bake for one lamp, mean over the lamps."""
+    plain, clean = WAYS["cycles"], WAYS["denoised"]
+    denoises = clean in wanted and denoised.can()
+    if clean in wanted and not denoises:
+        notes.append("This Blender was built without OpenImageDenoise, so Cycles' bakes are not denoised.")
     rate = resolution**2 / 1_200_000  # s a sample on two cores, about
     _move(context, lamp, tests[0])
     # the first bake loads kernels
@@ -279,18 +318,30 @@ def _cycles(context, lamp, tests, resolution, steps) -> tuple[list[Truth], list[
             raise SceneError("The test lamps light nothing: every surface is black, or none scatters light.")
         noise = metrics.compare(found.image, found.image, found.mask, reference_halves=tuple(found.halves)).noise
         truths.append(Truth(found, noise))
-    errors = np.zeros((len(CYCLES_SPP), len(tests)))
-    seconds = np.full(errors.shape, np.inf)
-    for turn in range(ROUNDS):
+    ways = [plain, clean] if denoises else [plain] if plain in wanted else []
+    errors = {way: np.zeros((len(CYCLES_SPP), len(tests))) for way in ways}
+    seconds = {way: np.full(errors[way].shape, np.inf) for way in ways}
+    for turn in range(ROUNDS if ways else 0):
         for row, spp in enumerate(CYCLES_SPP):
             steps.begin(f"Cycles, {spp} samples{' again' * (turn > 0)}", len(tests) * (0.2 + spp * rate))
             for column, (test, truth) in enumerate(zip(tests, truths, strict=True)):
                 _move(context, lamp, test)
                 image, _, spent = reference.cycles_bake(context, {"INDIRECT"}, resolution, spp, 10 + column)
-                errors[row, column] = truth.compare(image).error
-                seconds[row, column] = min(seconds[row, column], spent)
-    times = seconds.mean(axis=1)
-    return truths, [_point(e, s, s, spp=spp) for e, s, spp in zip(errors, times, CYCLES_SPP, strict=True)]
+                made = {plain: (image, spent)}
+                if denoises:
+                    smooth, more = denoised.denoise(image)
+                    made[clean] = smooth, spent + more
+                for way, (shown, took) in made.items():
+                    errors[way][row, column] = truth.compare(shown).error
+                    seconds[way][row, column] = min(seconds[way][row, column], took)
+    return truths, {
+        way: [
+            _point(e, s, s, spp=spp)
+            for e, s, spp in zip(errors[way], seconds[way].mean(axis=1), CYCLES_SPP, strict=True)
+        ]
+        for way in ways
+        if way in wanted
+    }
 
 
 def _point(errors, bake, each, **budget) -> dict:

@@ -113,6 +113,13 @@ def _parser(opened: bool) -> argparse.ArgumentParser:
         "--resolution", type=_number(32, 1024, int), default=256, metavar="N", help="atlas size in pixels (256)"
     )
     graph.add_argument("--seed", type=_number(0, 2**31 - 1, int), default=0, metavar="N", help="seed of all (0)")
+    graph.add_argument(
+        "--methods",
+        type=_methods,
+        metavar="NAMES",
+        help="what to chart, by commas: cycles,denoised,paper,clusters,panes (error against time; these unless said "
+        "otherwise), points,compression,penumbra,caustics,preview (charts of their own), or all",
+    )
     info = command("info", _info, "Say what a file's bake is and whether it is still valid.")
     info.add_argument(
         "--points",
@@ -123,6 +130,17 @@ def _parser(opened: bool) -> argparse.ArgumentParser:
         "FILE_points.png",
     )
     return parser
+
+
+def _methods(text: str) -> tuple[str, ...]:
+    """Names of what to chart."""
+    from .chart import NAMES
+
+    given = [name for name in text.replace(",", " ").split() if name != "all"]
+    wrong = [name for name in given if name not in NAMES]
+    if wrong or not text.strip():
+        raise argparse.ArgumentTypeError(f"'{text}': use some of {', '.join(NAMES)}, or all")
+    return tuple(NAMES) if "all" in text.replace(",", " ").split() else tuple(given)
 
 
 def _spelled_out(arguments: list[str]) -> list[str]:
@@ -254,14 +272,15 @@ def _draw_points(options, path: Path) -> Path:
 
 
 def _chart(options) -> int:
-    from . import chart
+    from . import chart, chart_page
 
     path = _open(options)
     target = _target(options, path, "_chart")
     figures, picture = target.with_suffix(".json"), target.with_suffix(".png")
+    names = tuple(chart.WAYS) if options.methods is None else options.methods
     with Bar() as bar, quiet():
-        found = chart.measure(bpy.context, options.resolution, options.seed, bar)
-    report = {**context_of(path), **found}
+        found = chart.measure(bpy.context, options.resolution, options.seed, bar, names)
+    report = {**context_of(path), **chart_page.machine(), **found}
     _replacing(figures, lambda place: place.write_text(json.dumps(report, indent=2) + "\n", "utf-8"))
     for sentence in found["notes"]:
         _say(sentence)
@@ -272,8 +291,20 @@ def _chart(options) -> int:
             raise
         _say(f"Wrote {figures}, and no picture: that needs matplotlib (pip install matplotlib).")
     else:
-        _replacing(picture, lambda place: plot.draw(report, place))
-        _say(f"Wrote {picture} and {figures.name}")
+        drawn = []
+        if any(report["methods"].values()):
+            _replacing(picture, lambda place: plot.draw(report, place))
+            drawn.append(picture)
+        for name, study in report["studies"].items():
+            if "skipped" in study:
+                _say(f"{study['title']}: {study['skipped']}")
+                continue
+            drawn.append(picture.with_name(f"{picture.stem}_{name}.png"))
+            _replacing(drawn[-1], lambda place, study=study: plot.draw_study(study, place))
+        page = target.with_suffix(".html")
+        whole = chart_page.page([report], [[file.read_bytes() for file in drawn]])
+        _replacing(page, lambda place: place.write_text(whole, "utf-8"))
+        _say(f"Wrote {page}, with {', '.join(file.name for file in (*drawn, figures))} beside it")
     _write_report(options, report)
     return OK
 

@@ -222,7 +222,7 @@ class LIGHTPANES_PT_results(_SubPanel, bpy.types.Panel):
         _fact(column, "Rays", f"{report.get('rays', 0) / 1e6:.1f} M")
         if current.milliseconds:
             _fact(column, "Last Relight", f"{current.milliseconds:.1f} ms")
-        told = [(sentence, "ERROR") for sentence in (current.error, *current.stale) if sentence]
+        told = [(sentence, "ERROR") for sentence in (current.error, *current.stale, *current.doubts) if sentence]
         told += [(sentence, "DOT") for sentence in report.get("warnings", [])]
         column = layout.column(align=True)
         for sentence, icon in told[:MOST_SENTENCES]:

@@ -13,6 +13,7 @@ from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
 
 STYLE = {
     "Cycles": ("#57606a", "o", 1.6),
+    "Cycles, OpenImageDenoise": ("#9a6fb0", "o", 1.6),
     "The paper's method": ("#bc5b00", "s", 1.6),
     "The paper's panes, our gather": ("#0b63b5", "D", 1.6),
     "Lightpanes": ("#00795a", "o", 2.8),
@@ -60,6 +61,32 @@ def draw(result: dict, path: Path) -> None:
         fontsize=8.5,
         color=SOFT,
     )
+    figure.savefig(path, format="png")
+
+
+def draw_study(study: dict, path: Path) -> None:
+    """Write the PNG of a study that has lines (addon/studies.py)."""
+    figure = Figure(figsize=(6.4, 4.2), dpi=110, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    colours = ("#00795a", "#0b63b5", "#bc5b00", "#57606a")
+    for (name, line), colour in zip(study["lines"].items(), colours, strict=False):
+        axes.plot(*zip(*line, strict=True), marker="o", markersize=4.5, linewidth=1.8, color=colour, label=name)
+    values = [y for line in study["lines"].values() for _, y in line]
+    axes.set_xscale("log" if "x" in study["log"] else "linear")
+    # nothing has no logarithm
+    axes.set_yscale("log" if "y" in study["log"] and min(values) > 0 else "linear")
+    axes.set_title(study["title"], loc="left", fontsize=12, color=INK)
+    axes.set_xlabel(study["x"], color=INK)
+    axes.set_ylabel(study["y"], color=INK)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(lambda value, _: f"{value:g}")
+        axis.set_minor_formatter(NullFormatter())
+    axes.grid(True, which="both", color=GRID, linewidth=0.8)
+    axes.set_axisbelow(True)
+    for side in axes.spines.values():
+        side.set_visible(False)
+    axes.legend(frameon=False, fontsize=9)
     figure.savefig(path, format="png")
 
 

@@ -19,6 +19,7 @@ from . import (
     areas,
     caustics,
     direct,
+    doubts,
     engine,
     environment,
     extract,
@@ -213,6 +214,7 @@ def _apply(context, scene, current: sessions.Session, lights):
     current.owes = any(item.data.is_editmode for item in vertices.lit(scene))
     store.write_irradiance(scene, relighter.image(light))
     current.milliseconds = 1000 * (time.perf_counter() - begin)
+    current.doubts = doubts.sentences(relighter, lights, current.expected)
     current.shown = lamp_key(lights)
     for other in sessions.every():
         if other is not current and other.key == current.key:

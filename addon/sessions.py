@@ -12,6 +12,7 @@ import bpy
 import numpy as np
 
 from ..core.panes import Panes, Relighter
+from ..core.panes.trust import Expected, expected_of
 from ..core.rays import Tracer
 from ..core.scene import Light, Scene, SceneError
 from . import caustics, direct, extract, lamps, live_image, meshes, store, visibility
@@ -42,6 +43,8 @@ class Session:
     wrote_meshes: bool = False  # light went to vertices, and Blender has yet to report that these meshes changed
     milliseconds: float = 0.0
     error: str = ""
+    expected: Expected = field(default_factory=Expected)  # what the bake knows of its own error
+    doubts: tuple[str, ...] = ()  # about lamps where they are now
 
     def read_again(self) -> None:
         """Where the surfaces are as they were baked again, shadows of what they were meanwhile must go."""
@@ -85,7 +88,10 @@ def _begin(scene, key, **more) -> Session:
     baked_in = tuple(lamps.from_json(values) for values in meta.get("static_lamps", ()))
     # what is shown was made with caustics where these are there, whatever the setting has become
     focuses = scene.lightpanes.caustics or caustics.is_shown(scene)
-    return Session(key, focuses=focuses, static=meta.get("static", {}), baked_in=baked_in, panes=panes, **more)
+    expected = expected_of(meta.get("report", {}))
+    return Session(
+        key, focuses=focuses, static=meta.get("static", {}), baked_in=baked_in, panes=panes, expected=expected, **more
+    )
 
 
 def forget(scene: bpy.types.Scene) -> None:

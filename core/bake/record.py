@@ -75,7 +75,9 @@ class Bake:
             table = encode(panes.shown, bits) * np.where(panes.own, 1, -1).astype(np.float32)[:, None]
             atlas, table, steady = panes.rows, table.reshape(size, size, -1), panes.steady
         weights = panes.weights
-        parts = (weights.first, weights.spread, weights.later, weights.field)
+        parts = [weights.first, weights.spread, weights.later, weights.field]
+        if weights.sketch is not None:
+            parts.append(weights.sketch)
         surface = panes.surface
         each = len(surface.position) // max(len(surface), 1)
         entries = {
@@ -128,7 +130,7 @@ class Bake:
                 pieces=self.images["Lightpanes Pieces"].reshape(-1, 3, 3),
                 counts=once["pieces"].astype(np.int32),
             ),
-            weights=PaneWeights(*parts[:3], once["region"].astype(np.int32), parts[3], once["albedo"]),
+            weights=PaneWeights(*parts[:3], once["region"].astype(np.int32), parts[3], once["albedo"], *parts[4:]),
         )
 
     def _at_texels(self) -> dict:

@@ -10,6 +10,7 @@ import numpy as np
 from ..panes import Panes
 from ..panes.exits import gather_panes, joined, smooth_panes
 from ..panes.regions import region_of
+from ..panes.trust import concentration
 from ..planner import MOST_ENTRIES, Settings, more_points
 from ..point_cache import Weights
 from ..rays import CHUNK
@@ -127,6 +128,9 @@ def _bake(scene, settings, clock, kept):
         "error": error,
         "error_95": worst,
         "error_parts": parts,
+        "concentration": 0.0
+        if made.test_direct is None
+        else concentration(made.weights, made.entries.area, made.test_direct),
         "skipped": {} if made.test_direct is not None else {"panes": "no lamp is live"},
         "error_target": settings.error_target,
         "bound": settled.bound,

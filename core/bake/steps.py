@@ -241,7 +241,7 @@ def prepare_with(
         region = split_regions(region, alike, entries.area, field[:, ::2], budget.regions, budget.panes)
         modes = learn_modes(entries, transport, region, radiosity, field, budget.panes)
         clock.tick(1, 0)
-        weights = make_weights(entries, transport, modes, room, direct[:, ::8])
+        weights = make_weights(entries, transport, modes, room, direct[:, ::8], seed)
         clock.tick(1, 0)
     else:
         modes, weights, test, test_direct = *no_panes(entries), [], None

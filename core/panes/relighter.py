@@ -44,6 +44,16 @@ class Panes:
     vertices: Weights | None = None
 
 
+@dataclass(frozen=True)
+class Known:
+    """Of a lamp: unit (n,) or (n, 3), irradiance of the entries at unit power, extra light left out; weights (m, 3) and
+    sketches (2, SKETCH, 3) as of PaneWeights.of_and_sketch."""
+
+    unit: np.ndarray
+    weights: np.ndarray
+    sketch: np.ndarray | None
+
+
 class Relighter:
     """Relights a bake. Only lamps that changed are computed again.
 
@@ -59,7 +69,8 @@ class Relighter:
         self.entry_light = EntryLight(panes.surface, tracer, seed)
         self._unit: dict[tuple, np.ndarray] = {}
         self._beside: dict[int, np.ndarray] = {}
-        self._weights: dict[tuple, np.ndarray] = {}
+        self._mean: np.ndarray | None = None
+        self._weights: dict[tuple, tuple[np.ndarray, np.ndarray | None]] = {}
         self._blocks, self._region, slot = _blocks(panes.rows, panes.starts)
         # places of red in the blocks, green and blue follow at a BLOCK's distance; the last three are black
         flat = slot // BLOCK * (3 * BLOCK) + slot % BLOCK
@@ -81,10 +92,9 @@ class Relighter:
             if not light.live:
                 continue
             place = light.geometry
-            extra = None if self.extra is None else self.extra(light)
+            key, extra = self._key(light)
             # known by its number as long as it is kept
             beside[id(extra)] = extra
-            key = (place, light.power.tobytes(), id(extra))
             if key in weights:
                 weights[key] = (weights[key][0], weights[key][1] + 1)
                 continue
@@ -99,13 +109,29 @@ class Relighter:
             direct = unit[place] if unit[place].ndim == 2 else unit[place][:, None]
             if extra is not None:
                 direct = direct + extra
-            weights[key] = (self.panes.weights.of(direct * light.power.astype(np.float32)), 1)
+            weights[key] = (self.panes.weights.of_and_sketch(direct * light.power.astype(np.float32)), 1)
         self._unit, self._beside = unit, beside
         self._weights = {key: value for key, (value, _) in weights.items()}
         total = np.zeros((len(self.panes.weights.first), 3), np.float32)
-        for value, times in weights.values():
+        for (value, _), times in weights.values():
             total += value * np.float32(times)
         return total
+
+    def _key(self, light):
+        """What a lamp's weights are known by, and its extra light."""
+        extra = None if self.extra is None else self.extra(light)
+        return (light.geometry, light.power.tobytes(), id(extra)), extra
+
+    def known(self, light: Light) -> Known | None:
+        """Of a lamp that shone when the weights were last asked for; None of any other."""
+        key, _ = self._key(light)
+        return Known(self._unit[light.geometry], *self._weights[key]) if key in self._weights else None
+
+    def mean(self, weights: np.ndarray) -> float:
+        """Mean irradiance over the surface and RGB for weights (m, 3), that of the light that no lamp changes included, W/m²."""
+        if self._mean is None:
+            self._mean = self.panes.weights.mean(self.panes.surface.size.astype(np.float64) ** 2)
+        return float(np.maximum(self._mean @ weights, 0).mean() + self.panes.steady.mean())
 
     def combine(self, weights: np.ndarray) -> np.ndarray:
         """Irradiance of all texels for pane weights (m, 3): each region blends its own panes.

@@ -24,6 +24,9 @@ RANK = 192
 ROOM_RANK = 8
 """Leading fields of a room, at least."""
 
+SKETCH = 32
+"""Random mixtures of what the modes leave out: an RMS from so many is right to an eighth."""
+
 TILE = 32
 """Rows of the large operator that lie together in memory; see `PaneWeights._gather`."""
 
@@ -32,7 +35,8 @@ TILE = 32
 class PaneWeights:
     """first: (m, n) float32, A; m = regions × panes. spread: (m, r) float32, Q. later: (3, r, m) float32, G.
     region: (n,) int32 of each entry. field: (n, panes) float32, the entry's irradiance by its region's modes.
-    albedo: (n, 3) float32.
+    albedo: (n, 3) float32. sketch: (2, SKETCH, n) float32, random mixtures of what the modes leave out of each
+    entry's field, and of the entries themselves (`of_and_sketch`); None in bakes from before there was such a thing.
     """
 
     first: np.ndarray
@@ -41,14 +45,34 @@ class PaneWeights:
     region: np.ndarray
     field: np.ndarray
     albedo: np.ndarray
+    sketch: np.ndarray | None = None
 
     def of(self, direct: np.ndarray) -> np.ndarray:
         """(m, 3) float32 weights for the entries' direct irradiance (n, 3) float32, W/m²."""
+        return self._gather(self.radiosity(direct))
+
+    def of_and_sketch(self, direct: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """The weights, and sketches (2, SKETCH, 3) of the field that the modes do not hold and of the radiosity, both linear
+        in the light: the root of the sum of a sketch's squares is about the RMS over the area, W/m² (Johnson &
+        Lindenstrauss 1984)."""
+        light = self.radiosity(direct)
+        return self._gather(light), None if self.sketch is None else self.sketch @ light
+
+    def radiosity(self, direct: np.ndarray) -> np.ndarray:
+        """(n, 3) float32 that the entries send out under such direct light, all but the last bounce's, W/m²."""
         once = self._gather(self.albedo * direct)
         again = np.stack([self.later[c] @ np.ascontiguousarray(once[:, c]) for c in range(3)], 1)
         guess = (once + self.spread @ again).reshape(-1, self.field.shape[1], 3)
         indirect = np.einsum("nk,nkc->nc", self.field, guess.take(self.region, axis=0))
-        return self._gather(self.albedo * (direct + indirect))
+        return self.albedo * (direct + indirect)
+
+    def mean(self, area: np.ndarray) -> np.ndarray:
+        """(m,) what each weight adds to the mean of the field over the entries; area: (n,) m²."""
+        k = self.field.shape[1]
+        share = (area / area.sum())[:, None] * self.field
+        sums = np.zeros((len(self.first) // k, k))
+        np.add.at(sums, self.region, share)
+        return sums.reshape(-1)
 
     def _gather(self, light: np.ndarray) -> np.ndarray:
         """(m, 3): A @ light (n, 3), by tiles.
@@ -72,7 +96,7 @@ class PaneWeights:
 
 
 def make_weights(
-    entries: Entries, transport: Transport, modes: Modes, room: np.ndarray, direct: np.ndarray
+    entries: Entries, transport: Transport, modes: Modes, room: np.ndarray, direct: np.ndarray, seed: int = 0
 ) -> PaneWeights:
     """Weights operator for `modes`.
 
@@ -114,7 +138,21 @@ def make_weights(
         # float64: near albedo 1 the system is close to singular
         system = np.eye(len(operator)) - (operator @ spread).astype(np.float64)
         later[c] = np.linalg.solve(system, operator)
-    return PaneWeights(first, spread, later, modes.region, modes.basis / root[:, None], entries.albedo)
+    field = modes.basis / root[:, None]
+    sketch = _sketch(entries.area, transport.between, first, modes.region, field, seed)
+    return PaneWeights(first, spread, later, modes.region, field, entries.albedo, sketch)
+
+
+def _sketch(area, between, first, region, field, seed) -> np.ndarray:
+    """(2, SKETCH, n) float32: Ω √a (F − U A), random mixtures of what the modes leave out of each entry's light, and Ω √a."""
+    mix = np.random.default_rng(seed).standard_normal((SKETCH, len(area))).astype(np.float32)
+    mix *= np.sqrt(area / area.sum() / SKETCH).astype(np.float32)
+    k = field.shape[1]
+    held = np.zeros((SKETCH, len(first)), np.float32)
+    for r in range(len(first) // k):
+        rows = np.flatnonzero(region == r)
+        held[:, r * k : r * k + k] = mix[:, rows] @ field[rows]
+    return np.stack([mix @ between - held @ first, mix])
 
 
 def _leading_by_room(fields: np.ndarray, room: np.ndarray) -> np.ndarray:

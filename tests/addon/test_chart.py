@@ -10,7 +10,16 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from lightpanes import addon  # noqa: E402
-from lightpanes.addon import atlas, chart, commands, methods, reference  # noqa: E402
+from lightpanes.addon import (  # noqa: E402
+    atlas,
+    chart,
+    commands,
+    denoised,
+    methods,
+    preview_study,
+    reference,
+    studies,
+)
 from lightpanes.addon.extract import extract  # noqa: E402
 from lightpanes.core import metrics  # noqa: E402
 from lightpanes.core.bake import Progress, Settings  # noqa: E402
@@ -22,6 +31,8 @@ from .glassware import ball, material  # noqa: E402
 SIZE = 48
 SMALL = {"entries": 400, "entry_rays": 256, "exit_rays": 64, "regions": 8, "panes": 16, "lamps": 150}
 SETTINGS = Settings(resolution=SIZE, **SMALL)
+PLAIN = ("cycles", "paper", "clusters", "panes")
+"""All ways of the chart but the one that takes longest."""
 
 
 @pytest.fixture
@@ -68,7 +79,7 @@ def nearest(scene, place):
 
 def test_chart_of_a_room(file, small):
     steps: list[Progress] = []
-    found = chart.measure(bpy.context, SIZE, 0, steps.append)
+    found = chart.measure(bpy.context, SIZE, 0, steps.append, PLAIN)
     assert list(found["methods"]) == ["Cycles", *methods.METHODS]
     assert json.loads(json.dumps(found)) == found
     cycles, walks, clusters, ours = found["methods"].values()
@@ -200,25 +211,29 @@ def test_black_scene(room, small):
 
 def test_long_ways_are_left_out(room, least, monkeypatch):
     monkeypatch.setattr(chart, "PATIENCE", 0.0)
-    found = chart.measure(bpy.context, 32)
+    found = chart.measure(bpy.context, 32, names=PLAIN)
     assert len(found["methods"]["The paper's method"]) == 1
     assert found["notes"] == ["The paper's method: 256 entries and more left out, they would take over 0 s."]
 
 
 def run_chart(*words):
-    return commands.main(["chart", *map(str, words), "--resolution", "32"])
+    return commands.main(["chart", *map(str, words), "--resolution", "32", "--methods", ",".join(PLAIN)])
 
 
 def test_command_writes_picture_and_figures(file, least, tmp_path, capsys):
     pytest.importorskip("matplotlib")
     original, folder = file.read_bytes(), tmp_path / "out"
     assert run_chart(file, "--output", folder, "--json", tmp_path / "report.json") == 0
-    assert sorted(p.name for p in folder.iterdir()) == ["room_chart.json", "room_chart.png"]
+    assert sorted(p.name for p in folder.iterdir()) == ["room_chart.html", "room_chart.json", "room_chart.png"]
     assert file.read_bytes() == original
     said = json.loads((folder / "room_chart.json").read_text())
     assert said == json.loads((tmp_path / "report.json").read_text())
     assert said["scene"] == "room" and said["resolution"] == 32
     assert "room_chart.png" in capsys.readouterr().out
+    page = (folder / "room_chart.html").read_text("utf-8")
+    assert page.count("data:image/png;base64,") == 1 and "://" not in page
+    for word in (said["date"], said["machine"], said["versions"], "Lightpanes", "room"):
+        assert word in page
     picture = bpy.data.images.load(str(folder / "room_chart.png"))
     assert min(picture.size) > 600
     pixels = np.array(picture.pixels, np.float32).reshape(-1, 4)[:, :3]
@@ -260,3 +275,100 @@ def test_picture_of_odd_figures(tmp_path):
     }
     plot.draw(found, tmp_path / "odd.png")
     assert (tmp_path / "odd.png").stat().st_size > 10_000
+
+
+def test_denoised_bakes(room, least):
+    """In a small atlas with much noise: less error than plain ones, and other pixels."""
+    if not denoised.can():
+        pytest.skip("this Blender has no OpenImageDenoise")
+    found = chart.measure(bpy.context, 32, names=("cycles", "denoised"))
+    plain, clean = found["methods"].values()
+    assert list(found["methods"]) == ["Cycles", "Cycles, OpenImageDenoise"]
+    assert clean[0]["error"] != plain[0]["error"] and clean[0]["bake_s"] > plain[0]["bake_s"]
+
+
+def test_denoising_leaves_the_file_as_it_was(room):
+    if not denoised.can():
+        pytest.skip("this Blender has no OpenImageDenoise")
+    before = everything()
+    truth = np.full((40, 56, 3), np.linspace(1, 12, 56)[:, None], np.float32)
+    noisy = truth * np.random.default_rng(0).gamma(4, 1 / 4, truth.shape).astype(np.float32)
+    found, seconds = denoised.denoise(noisy)
+    assert found.shape == truth.shape and seconds > 0
+    errors = [np.sqrt(((image - truth) ** 2).mean()) for image in (found, noisy)]
+    assert errors[0] < 0.4 * errors[1]
+    assert found.mean() == pytest.approx(noisy.mean(), rel=0.05) and found.max() > 8
+    assert everything() == before
+
+
+def everything():
+    kinds = ("scenes", "objects", "cameras", "node_groups")
+    found = {kind: sorted(item.name for item in getattr(bpy.data, kind)) for kind in kinds}
+    # Blender keeps the last render
+    return found | {"images": [image.name for image in bpy.data.images if image.type != "RENDER_RESULT"]}
+
+
+def test_where_nothing_can_denoise(room, least, monkeypatch):
+    monkeypatch.setattr(denoised, "can", lambda: False)
+    found = chart.measure(bpy.context, 32, names=("denoised",))
+    assert found["methods"] == {} and "without OpenImageDenoise" in found["notes"][0]
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """Studies of two points a line."""
+    for name, value in {
+        "POINTS": (100, 400), "POINT_RAYS": 64, "PANES": (2, 8), "REGIONS": (4,), "CLUSTERS": (8, 64), "SAMPLES": (16, 64),
+        "ROUNDS": 1, "PHOTONS": (500, 8000), "MANY": 4, "BASE": SMALL,
+    }.items():  # fmt: skip
+        monkeypatch.setattr(studies, name, value)
+    for name, value in {"WIDTH": 40, "FRAMES": (1, 16), "SPP": (1,), "REFERENCE_SPP": 64}.items():
+        monkeypatch.setattr(preview_study, name, value)
+    save_rays(monkeypatch)
+
+
+def test_studies(file, small, few, tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=0.2, location=(-0.4, 0.3, -0.4))
+    bpy.ops.object.shade_smooth()
+    glass = bpy.data.materials.new("Glass")
+    if glass.node_tree is None:
+        glass.use_nodes = True
+    shader = next(node for node in glass.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    shader.inputs["Transmission Weight"].default_value, shader.inputs["Roughness"].default_value = 1.0, 0.0
+    bpy.context.object.data.materials.append(glass)
+    bpy.ops.object.camera_add(location=(-0.8, -0.8, 0.3), rotation=(1.3, 0, -0.8))
+    bpy.context.scene.camera = bpy.context.object
+    bpy.ops.wm.save_mainfile()
+    names = "points compression penumbra caustics preview"
+    assert (
+        commands.main(["chart", str(file), "--output", str(tmp_path / "out"), "--resolution", "48", "--methods", names])
+        == 0
+    )
+    found = json.loads((tmp_path / "out" / "room_chart.json").read_text())
+    assert found["methods"] == {} and sorted(found["studies"]) == sorted(names.split())
+    lines = {name: study["lines"] for name, study in found["studies"].items()}
+    # more of anything is better
+    for line in lines["points"].values():
+        assert line[1][1] < line[0][1]
+    [ours, paper] = lines["compression"].values()
+    assert ours[1][1] < ours[0][1] and paper[1][1] < paper[0][1]
+    [photons] = lines["caustics"].values()
+    assert photons[1][1] < photons[0][1]
+    frames, _ = lines["preview"].values()
+    assert frames[1][1] > frames[0][1] and frames[1][0] > frames[0][0]
+    assert all(value > 0 for _, value in lines["penumbra"]["penumbra casting"])
+    page = (tmp_path / "out" / "room_chart.html").read_text("utf-8")
+    assert page.count("data:image/png;base64,") == 5 and "://" not in page
+    assert len(list((tmp_path / "out").glob("room_chart_*.png"))) == 5
+
+
+def test_studies_that_do_not_apply(room, few, small):
+    found = chart.measure(bpy.context, 32, names=("caustics", "preview"))
+    assert "glass or metal" in found["studies"]["caustics"]["skipped"]
+    assert "no camera" in found["studies"]["preview"]["skipped"]
+
+
+def test_wrong_names_of_methods(file, capsys):
+    assert commands.main(["chart", str(file), "--methods", "cycles,eevee"]) == 2
+    assert "use some of cycles, denoised" in capsys.readouterr().err

@@ -106,8 +106,8 @@ def _fixed_rays(count: int = 1 << 20):
     return Bvh(boxes[:, triangles].reshape(-1, 3, 3).astype(np.float32)), origins, directions
 
 
-def machine() -> str:
-    """CPU, cores, load and the versions that matter, in one line."""
+def machine(load: bool = True) -> str:
+    """CPU, cores, load if wanted, and the versions that matter, in one line."""
     cpu = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
@@ -116,12 +116,12 @@ def machine() -> str:
             cpu,
         )
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
+    busy = f", load {os.getloadavg()[0]:.1f}" if load and hasattr(os, "getloadavg") else ""
     versions = [f"Python {platform.python_version()}"]
     for package in ("numpy", "embreex", "bpy"):
         if importlib.util.find_spec(package):
             versions.append(f"{package} {importlib.metadata.version(package)}")
-    return f"{platform.system()}, {cpu}, {cores} cores{load}; {', '.join(versions)}"
+    return f"{platform.system()}, {cpu}, {cores} cores{busy}; {', '.join(versions)}"
 
 
 def main(arguments: list[str]) -> int:

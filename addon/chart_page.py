@@ -1,0 +1,95 @@
+"""All charts of a scene as one HTML page that needs nothing else: no network, no files beside it."""
+
+from __future__ import annotations
+
+import base64
+import datetime
+import html
+import os
+import platform
+import sys
+
+import bpy
+import numpy as np
+
+STYLE = """body{font:15px/1.5 system-ui,sans-serif;color:#1f2328;max-width:1100px;margin:2em auto;padding:0 1em}
+h1,h2{line-height:1.2}img{max-width:100%;height:auto}table{border-collapse:collapse;margin:1em 0;font-size:13px}
+td,th{padding:.2em .8em;border-bottom:1px solid #e4e7eb;text-align:right}td:first-child,th:first-child{text-align:left}
+p.note{color:#57606a;font-size:13px}"""
+
+
+def machine() -> dict[str, str]:
+    """What the figures were made on, and when; goes into the JSON, too."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return {
+        "date": datetime.date.today().isoformat(),
+        "machine": f"{platform.system()} {platform.machine()}, {_processor()}, {cores} cores",
+        "versions": f"Blender {bpy.app.version_string}, Python {platform.python_version()}, numpy {np.__version__}",
+    }
+
+
+def _processor() -> str:
+    if sys.platform.startswith("linux"):
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            for line in file:
+                if line.startswith("model name"):
+                    return line.split(":", 1)[1].strip()
+    return platform.processor() or "unknown processor"
+
+
+def page(reports: list[dict], pictures: list[list[bytes]]) -> str:
+    """The page of scenes' figures (`chart.measure`, with "studies") and of their PNGs, the chart's first, then one for each
+    study that has lines. Without pictures the tables alone."""
+    first = reports[0]
+    title = f"Lightpanes: charts of {', '.join(report['scene'] for report in reports)}"
+    parts = [
+        "<!DOCTYPE html>",
+        f'<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title><style>{STYLE}</style></head><body>',
+        f"<h1>{html.escape(title)}</h1>",
+        f"<p>{html.escape(first['date'])}. {html.escape(first['machine'])}. {html.escape(first['versions'])}.</p>",
+    ]
+    for report, images in zip(reports, pictures, strict=True):
+        parts += _scene(report, list(images))
+    return "\n".join([*parts, "</body></html>", ""])
+
+
+def _scene(report, images) -> list[str]:
+    parts = [f"<h2>{html.escape(report['scene'])}</h2>"]
+    if report["methods"]:
+        parts += _picture(images, "error against time")
+        parts.append(f'<p class="note">Error: {html.escape(report["error"])}.</p>')
+        parts += _methods(report["methods"])
+    parts += [f'<p class="note">{html.escape(note)}</p>' for note in report["notes"]]
+    for study in report.get("studies", {}).values():
+        parts.append(f"<h3>{html.escape(study['title'])}</h3>")
+        if "skipped" in study:
+            parts.append(f"<p>Not measured: {html.escape(study['skipped'])}</p>")
+            continue
+        parts += _picture(images, study["title"])
+        parts.append(f'<p class="note">{html.escape(study["note"])}</p>')
+        rows = [[name, f"{x:g}", f"{y:g}"] for name, line in study["lines"].items() for x, y in line]
+        parts += _table(["", study["x"], study["y"]], rows)
+    return parts
+
+
+def _methods(found) -> list[str]:
+    rows = []
+    for name, line in found.items():
+        for point in line:
+            budget = f"{point['spp']} spp" if "spp" in point else f"{point['entries']} entries"
+            numbers = [f"{100 * point['error']:.2f} %", f"{point['bake_s']:.3g}", f"{1000 * point['relight_s']:.3g}"]
+            rows.append([name, budget, *numbers])
+    return _table(["", "budget", "error", "bake, s", "relight, ms"], rows)
+
+
+def _table(head, rows) -> list[str]:
+    lines = ["<table><tr>" + "".join(f"<th>{html.escape(cell)}</th>" for cell in head) + "</tr>"]
+    lines += ["<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows]
+    return [*lines, "</table>"]
+
+
+def _picture(images, text) -> list[str]:
+    if not images:
+        return []
+    data = base64.b64encode(images.pop(0)).decode("ascii")
+    return [f'<p><img alt="{html.escape(text)}" src="data:image/png;base64,{data}"></p>']
