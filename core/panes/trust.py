@@ -16,8 +16,9 @@ from ..scene import Light
 from .relighter import Relighter
 from .weights import PaneWeights
 
-MARGIN = 1.25
-"""Error over that of the bake itself from which on a lamp is worth a word, where the bake missed what was asked for."""
+MARGIN = 1.5
+"""Error over that of the bake itself from which on a lamp is worth a word, where the bake missed what was asked for: it is
+the mean of lamps that differ as much."""
 
 CLOSE = 1.0
 """A lamp is close to a surface within this many times the entry's size there."""
@@ -36,8 +37,9 @@ class Expected:
 
 def expected_of(report: Mapping) -> Expected:
     """From a bake's report."""
-    error, panes = report.get("error") or 0.0, report.get("error_parts", {}).get("panes", 0.0)
-    rest = float(np.sqrt(max(error**2 - panes**2, 0.0)))
+    error, parts = report.get("error") or 0.0, report.get("error_parts", {})
+    # parts are measured one by one, and need not sum up to the whole
+    rest = min(float(np.sqrt(sum(part**2 for name, part in parts.items() if name != "panes"))), error)
     return Expected(report.get("error_target", 1.0), error, rest, report.get("concentration", 0.0))
 
 
