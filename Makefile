@@ -1,4 +1,4 @@
-# make demo | test | sequences | gui | lint | bench [ONLY=…] | chart | failures | caustics | pictures | preview | samples | package | clean      PYTHON=… picks the interpreter (3.11 or 3.13)
+# make demo | test | sequences | gui | lint | bench [ONLY=…] | chart | charts [ONLY=…] | failures | caustics | pictures | preview | samples | package | clean      PYTHON=… picks the interpreter (3.11 or 3.13)
 PYTHON ?= $(shell for p in python3.13 python3.11 python3; do \
 	$$p -c 'import sys; sys.exit(sys.version_info[:2] not in ((3, 11), (3, 13)))' 2>/dev/null && echo $$p && break; done)
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d%d" % sys.version_info[:2])' 2>/dev/null)
@@ -7,7 +7,7 @@ RUN := $(VENV)/bin/python
 LOCK := requirements/py$(VERSION).lock
 ONLY ?=
 
-.PHONY: demo test sequences gui lint bench samples chart failures caustics pictures preview package clean venv
+.PHONY: demo test sequences gui lint bench samples chart charts failures caustics pictures preview package clean venv
 
 demo: venv
 	$(RUN) sample_blends/demo.py
@@ -31,6 +31,9 @@ bench: venv
 
 chart: venv
 	$(RUN) -m lightpanes chart sample_blends/cornell.blend --resolution 128 --output out/chart
+
+charts: venv
+	$(RUN) -m tests.bench.all_charts $(ONLY)
 
 failures: venv
 	$(RUN) -m tests.failures

@@ -29,7 +29,7 @@ def draw(figures: dict) -> None:
         )
         axes.plot(expected, "--", color="C3", linewidth=1, label="detector expects")
         axes.axhline(figures["target"], color="0.3", linewidth=0.8, linestyle=":")
-        axes.set(title=name, yscale="log", ylim=(0.005, 2), xlabel="frame", ylabel="error against Cycles")
+        axes.set(title=name, yscale="log", ylim=(0.005, 2), xlabel="frame", ylabel="error against brute force")
         axes.grid(which="both", color="0.93")
     grid.flat[0].legend(fontsize=7, frameon=False)
     axes = grid.flat[len(swept)]
@@ -45,7 +45,7 @@ def draw(figures: dict) -> None:
     axes.axhline(0, color="0.3", linewidth=0.8)
     axes.set_yscale("symlog", linthresh=1e-3)
     axes.set_xticks(range(len(swept)), [name.replace(" ", "\n", 1) for name in swept], fontsize=7)
-    axes.set(title="flicker: change a frame beyond the truth's, over the mean")
+    axes.set_title("flicker: change beyond the truth's", fontsize=10)
     axes.legend(fontsize=7, frameon=False)
     harness.OUT.mkdir(parents=True, exist_ok=True)
     figure.savefig(harness.OUT / "sweeps.png", dpi=90)

@@ -11,14 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 from lightpanes.core import metrics
 from lightpanes.core.bake import Settings, bake
-from lightpanes.core.bake.steps import prepare
+from lightpanes.core.bake.steps import Prepared, prepare
 from lightpanes.core.panes import Relighter
 from lightpanes.core.panes.clusters import gather_clusters, make_clusters
 from lightpanes.core.panes.entry_light import EntryLight
 from lightpanes.core.panes.exits import gather_panes
 from lightpanes.core.panes.trust import Trust, expected_of, trust
-from lightpanes.core.rays import Tracer
+from lightpanes.core.rays import Bvh, Tracer
+from lightpanes.core.sampling import spiral
 from lightpanes.core.scene import Light, Material, Scene
+from lightpanes.core.threads import in_threads
 
 from ..core.shapes import box, lamp, scene
 
@@ -144,3 +146,55 @@ def extra_change(images, halves, mask) -> float:
     truth = np.sqrt(max(float((first * second).mean()), 0.0))
     change = np.sqrt(float((np.diff(blocks(images), axis=0)[:, used] ** 2).mean()))
     return (change - truth) / float(halves[:, :, mask].mean())
+
+
+VIRTUAL = 4096
+"""Rays from a lamp, a virtual light at each one's end."""
+
+
+def brute_force(ready: Prepared, light: Light, seed: int) -> np.ndarray:
+    """(t,) irradiance of `ready.exits` under a lamp of grey light so near to a surface that its pool is smaller than any entry.
+
+    The first bounce is summed over all rays from the lamp, each a small disc that shines as wide as its ray is (Keller 1997,
+    without his spikes); the later ones, smooth by then, come from the entries.
+    """
+    made, exits = ready.scene, ready.exits.samples
+    turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    way = np.ascontiguousarray(spiral(VIRTUAL) @ turn.T, np.float32)
+    start = np.tile(np.float32(light.position), (VIRTUAL, 1))
+    met = Bvh(made.positions[made.triangles]).hits(start, way)
+    hit = np.flatnonzero(met.triangle >= 0)
+    normal = made.triangle_cross()[met.triangle[hit]].astype(np.float64)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    normal *= -np.sign(np.einsum("nd,nd->n", normal, way[hit]))[:, None]
+    distance = met.distance[hit].astype(np.float64)
+    place = start[hit] + way[hit] * distance[:, None] + normal * ready.tracer.offset
+    slant = np.maximum(-np.einsum("nd,nd->n", normal, way[hit]), 1e-3)
+    disc = 4 * np.pi / VIRTUAL * distance**2 / slant
+    shade = np.array([material.albedo[0] for material in made.materials])[made.triangle_material[met.triangle[hit]]]
+    sent = light.power[0] / VIRTUAL * shade
+    position = (exits.position + exits.flat * np.float32(ready.tracer.offset)).astype(np.float64)
+    facing = np.asarray(exits.normal, np.float64)
+
+    def part(rows):
+        vectors = position[None] - place[rows, None]
+        distance2 = np.einsum("vtd,vtd->vt", vectors, vectors)
+        away = np.einsum("vtd,vd->vt", vectors, normal[rows])
+        toward = -np.einsum("vtd,td->vt", vectors, facing)
+        v, t = np.nonzero((away > 0) & (toward > 0))
+        seen = ready.tracer.visibility(position[t].astype(np.float32), (-vectors[v, t]).astype(np.float32))
+        square = distance2[v, t]
+        value = sent[rows][v] * away[v, t] * toward[v, t] / square / (np.pi * square + disc[rows][v]) * seen
+        return np.bincount(t, value, len(position))
+
+    pieces = [slice(k, k + 64) for k in range(0, len(hit), 64)]
+    total = np.zeros(len(position))
+    for some in in_threads(part, pieces):
+        total += some
+    direct = (EntryLight(ready.surface, ready.tracer).unit(light) * light.power[0])[:, None].astype(np.float32)
+    albedo = ready.entries.albedo[:, :1]
+    sent_on = ready.transport.solve(albedo, albedo * direct, 1e-3) - albedo * direct
+    table = np.zeros((1, ready.gatherer.size, 1), np.float32)
+    table[0, : len(ready.entries)] = sent_on
+    whole = np.array([0, len(position)])
+    return total + gather_panes(ready.gatherer, exits, whole, table, 256, seed + 5)[:, 0]
