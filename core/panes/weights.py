@@ -139,11 +139,11 @@ def make_weights(
         system = np.eye(len(operator)) - (operator @ spread).astype(np.float64)
         later[c] = np.linalg.solve(system, operator)
     field = modes.basis / root[:, None]
-    sketch = _sketch(entries.area, transport.between, first, modes.region, field, seed)
+    sketch = _sketch(entries.area, transport, first, modes.region, field, seed)
     return PaneWeights(first, spread, later, modes.region, field, entries.albedo, sketch)
 
 
-def _sketch(area, between, first, region, field, seed) -> np.ndarray:
+def _sketch(area, transport, first, region, field, seed) -> np.ndarray:
     """(2, SKETCH, n) float32: Ω √a (F − U A), random mixtures of what the modes leave out of each entry's light, and Ω √a."""
     mix = np.random.default_rng(seed).standard_normal((SKETCH, len(area))).astype(np.float32)
     mix *= np.sqrt(area / area.sum() / SKETCH).astype(np.float32)
@@ -152,7 +152,7 @@ def _sketch(area, between, first, region, field, seed) -> np.ndarray:
     for r in range(len(first) // k):
         rows = np.flatnonzero(region == r)
         held[:, r * k : r * k + k] = mix[:, rows] @ field[rows]
-    return np.stack([mix @ between - held @ first, mix])
+    return np.stack([transport.leaving(slice(None), mix.T) - held @ first, mix])
 
 
 def _leading_by_room(fields: np.ndarray, room: np.ndarray) -> np.ndarray:
