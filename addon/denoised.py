@@ -54,7 +54,7 @@ def _stage(height, width):
     source = bpy.data.images.new("Lightpanes Noisy", width, height, float_buffer=True)
     source.colorspace_settings.name = "Non-Color"
     camera = bpy.data.objects.new("Lightpanes Denoise", bpy.data.cameras.new("Lightpanes Denoise"))
-    before = {tree for tree in bpy.data.node_groups}
+    before, shown = set(bpy.data.node_groups), set(bpy.data.images)
     try:
         scene.collection.objects.link(camera)
         scene.camera = camera
@@ -72,6 +72,10 @@ def _stage(height, width):
         bpy.data.cameras.remove(data)
         bpy.data.images.remove(source)
         bpy.data.scenes.remove(scene)
+        # 4.5 gives a new compositor a viewer
+        for viewed in set(bpy.data.images) - shown:
+            if viewed.type == "COMPOSITING":
+                bpy.data.images.remove(viewed)
         for tree in set(bpy.data.node_groups) - before:
             bpy.data.node_groups.remove(tree)
 

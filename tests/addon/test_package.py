@@ -114,7 +114,7 @@ def names(archive):
 def test_the_zip_holds_what_belongs(archive):
     assert archive.name == f"lightpanes-{lightpanes.__version__}-{PLATFORM.replace('-', '_')}.zip"
     sources = {path.relative_to(ROOT).as_posix() for part in ("addon", "core") for path in (ROOT / part).rglob("*.py")}
-    sources |= {path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").iterdir()}
+    sources |= {path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*") if path.is_file()}
     [wheel] = {name for name in names(archive) if name.endswith(".whl")}
     assert names(archive) == sources | {"__init__.py", "blender_manifest.toml", "LICENSE", "README.md", wheel}
     assert wheel.startswith("wheels/embreex-") and f"-cp{PYTHON.replace('.', '')}-" in wheel
