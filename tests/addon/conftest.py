@@ -1,6 +1,8 @@
 """A registered add-on and a small scene around every test that needs Blender."""
 
 import functools
+import os
+import sys
 
 import pytest
 
@@ -15,6 +17,21 @@ from .soft import hang_panel  # noqa: E402
 # Budgets of a bake that is done in half a second and still looks like the room.
 SMALL = {"entries": 300, "entry_rays": 128, "exit_rays": 32, "regions": 8, "panes": 8, "lamps": 60}
 SMALL |= {"points": 400, "point_rays": 1024}
+
+
+STATUS = pytest.StashKey[int]()
+
+
+def pytest_sessionfinish(session, exitstatus):
+    session.config.stash[STATUS] = int(exitstatus)
+
+
+def pytest_unconfigure(config):
+    """End here on Blender 4.5, which as a module can hang in its exit handlers."""
+    if bpy.app.version < (5, 0) and STATUS in config.stash:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(config.stash[STATUS])
 
 
 @pytest.fixture(scope="session", autouse=True)
