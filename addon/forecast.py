@@ -3,9 +3,8 @@
 The planner's own budgets go into a model of few terms. Its factors were fitted (least squares of the relative error,
 none below 0) to the processor's time and the largest memory of bakes of the sample scenes. Times are the processor's over
 the number of threads; a scene that was baked before is forecast by how far its last bake was from the model.
-`python -m tests.bench forecast` measures both on the samples at 256² texels: on the machine of the fit the bare model was
-within 16 % of the time and 7 % of the memory; on others it is as far off as they are faster or slower. A forecast that
-a bake with another error target has corrected has to be within half as much again.
+`python -m tests.bench forecast` measures both on the samples at 256² texels. The planner's trials came after the fit: a
+bake that needs several takes longer than the bare model says.
 """
 
 from __future__ import annotations
