@@ -14,7 +14,7 @@ from ..planner import Budget, Judged, Settings, Took, fit, needs_panes, part_of,
 from ..scene import Light, Scene
 from .clock import Clock
 from .kept import Kept
-from .steps import KEPT_BACK, Prepared, Surfaces, find_surfaces, prepare_with, time_left
+from .steps import KEPT_BACK, Prepared, Surfaces, find_surfaces, prepare_with, time_left, transport_parts
 from .verdict import judge
 
 ROUNDS = 5
@@ -72,7 +72,7 @@ def settle(scene: Scene, settings: Settings, clock: Clock, kept: Kept) -> Settle
             made.budget = replace(made.budget, exit_rays=wanted.exit_rays)
             return Settled(made, "time", judged)
         before, traced = dict(clock.seconds), dict(clock.traced)
-        kept.drop(f"transport {made.budget.entries}", f"lamps {made.budget.entries}")
+        kept.drop(*transport_parts(made.budget.entries))
         rays = wanted.exit_rays, wanted.point_rays, wanted.points
         better = replace(better, exit_rays=rays[0], point_rays=rays[1], points=rays[2])
         made, found = _try(surfaces, settings, better, clock, kept, made.test_lamps)

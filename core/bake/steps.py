@@ -25,7 +25,7 @@ from ..transfer import (
     Transport,
     find_elements,
     find_entries,
-    make_element_transport,
+    link_elements,
     make_gatherer,
     make_piece_gatherer,
     make_transport,
@@ -157,6 +157,11 @@ def find_surfaces(scene: Scene, settings: Settings, clock: Clock) -> Surfaces:
     return Surfaces(scene, texels, vertices, tracer, at_points, settings.resolution, focusing is not None)
 
 
+def transport_parts(entries: int) -> tuple[str, ...]:
+    """Names of the kept parts that nothing needs once a bake is prepared."""
+    return f"transport {entries}", f"links {entries}", f"lamps {entries}"
+
+
 def time_left(settings: Settings, clock: Clock) -> float:
     """s of the time budget."""
     return settings.time_budget - clock.ahead - clock.spent
@@ -207,13 +212,15 @@ def prepare_with(
 
     clock.start("Transport", (len(whole[0]) + (0 if elements is None else len(elements))) * budget.entry_rays)
 
-    def transport_of():
-        found = make_transport(*whole, budget.entry_rays, seed, clock.tick)
-        if elements is None:
-            return found
-        return make_element_transport(whole[0], elements, found, gatherer, budget.entry_rays, seed, clock.tick)
-
-    transport = kept.part(f"transport {budget.entries}", transport_of)
+    transport = kept.part(
+        f"transport {budget.entries}", lambda: make_transport(*whole, budget.entry_rays, seed, clock.tick)
+    )
+    if elements is not None:
+        links = kept.part(
+            f"links {budget.entries}",
+            lambda: link_elements(whole[0], elements, transport, gatherer, budget.entry_rays, seed, clock.tick),
+        )
+        transport = ElementTransport(elements, transport, links)
 
     places = entries.places
     surface = EntrySurface.of(entries, patches, places, tracer.offset)

@@ -14,9 +14,10 @@ from lightpanes.core.rays import Bvh
 from lightpanes.core.surface import cut_patches, make_patches
 from lightpanes.core.threads import use_threads
 from lightpanes.core.transfer import (
+    ElementTransport,
     find_elements,
     find_entries,
-    make_element_transport,
+    link_elements,
     make_gatherer,
     make_transport,
 )
@@ -42,14 +43,14 @@ def both():
     gatherer = make_gatherer(made, finer, elements.sides, bvh, OFFSET)
     return (
         elements,
-        make_element_transport(entries, elements, whole, gatherer, 512),
+        ElementTransport(elements, whole, link_elements(entries, elements, whole, gatherer, 512)),
         make_transport(elements.sides, gatherer, 1024),
     )
 
 
 def test_elements_are_parts_of_entries():
     elements, found, _ = both()
-    assert 2 * len(found.far) < len(elements) == pytest.approx(1000, rel=0.15)
+    assert 2 * len(found.links.far) < len(elements) == pytest.approx(1000, rel=0.15)
     assert (np.diff(elements.entry) >= 0).all()
     assert np.allclose(np.bincount(elements.entry, elements.share), 1, atol=1e-5)
 
