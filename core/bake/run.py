@@ -241,9 +241,7 @@ def _at_points(made: Prepared, stored: Stored) -> tuple[Panes, np.ndarray | None
     fill = exits.fill(kept)
     own = np.zeros(len(fill), bool)
     own[exits.index[kept]] = True
-    shown = stored.texels.take(fill)
-    shown.point[fill < 0] = 0
-    shown.weight[fill < 0] = 0
+    shown = stored.texels.named(fill)
     panes = _panes(made, stored.rows, stored.starts, shown=shown, own=own, vertices=stored.vertices)
     first_hit = None
     if made.has_first_hit:
