@@ -22,7 +22,8 @@ from .entries import MAX_ALBEDO, PLACES, Entries, entries_of_sides
 from .gather import ROWS as GATHERED
 from .gather import Gatherer
 from .pairs import far_pairs
-from .transport import Bounces, Spots, Transport
+from .spots import Seen, Spots
+from .transport import Bounces, Transport
 
 NEAR = 3.0
 """Entries within this many times their mean size of each other exchange light element by element."""
@@ -168,27 +169,34 @@ class ElementTransport(Bounces):
         return result
 
     def spots(self, rows: np.ndarray, glow: np.ndarray) -> Spots:
-        """As of Transport: of each entry, all of whose elements glow alike, and of each element near to one of `rows`."""
+        """As of Transport: of each entry, all of whose elements glow alike, and of each element near to one of `rows`,
+        which are in ascending order."""
         elements, links = self.elements, self.links
         own, count = elements.entry, len(links.far)
         faint = np.bincount(own, np.where(glow > 0, 1 / np.maximum(glow, 1e-30), 0), count)
         whole = np.where(faint > 0, 1 / np.maximum(faint, 1e-30), 0).astype(np.float32)
         pick, row = self._near_of(rows)
-        distant = links.far.take(own[rows], axis=0) * links.factor[rows, None]
-        groups = distant.copy()
-        groups += np.bincount(row * count + own[links.near[pick]], links.weight[pick], groups.size).reshape(
-            groups.shape
-        )
         single, place = np.unique(links.near[pick], return_inverse=True)
-        ones = distant.take(own[single], axis=1) * elements.share[single]
-        ones += np.bincount(row * len(single) + place, links.weight[pick], ones.size).reshape(ones.shape)
+        entry, part = np.unique(own[rows], return_inverse=True)
+        seen = Seen(
+            far=links.far[entry],
+            place=part,
+            factor=links.factor[rows],
+            group=whole,
+            spot=glow[single],
+            own=own[single],
+            share=elements.share[single],
+            row=row,
+            single=place,
+            weight=links.weight[pick],
+        )
 
         def radiosity(values):
             found = (whole[:, None] * values[:count]).take(own, axis=0)
             found[single] += glow[single, None] * values[count:]
             return found
 
-        return Spots(np.concatenate([groups * whole, ones * glow[single]], 1), radiosity)
+        return Spots(seen, radiosity)
 
     def _near_of(self, rows):
         """Places in `near` that belong to elements `rows`, and which of these each belongs to."""

@@ -64,8 +64,13 @@ def test_products_with_elements_are_those_of_their_matrix():
     assert np.allclose(found.leaving(rows, values[rows]), values[rows].T @ matrix[rows], rtol=1e-4, atol=1e-6)
     glow = random.random(len(elements), np.float32)
     lone = found.spots(rows, glow)
-    mix = random.random((lone.seen.shape[1], 3), np.float32)
-    assert np.allclose(lone.seen @ mix, (matrix @ lone.radiosity(mix))[rows], rtol=1e-3, atol=1e-5)
+    mix = random.random((lone.seen.shape[1], 40), np.float32)
+    scale = random.random((len(rows), 1), np.float32)
+    once = (scale * lone.seen) @ mix
+    assert np.allclose(once, scale * (matrix @ lone.radiosity(mix))[rows], rtol=1e-3, atol=1e-5)
+    # and transposed
+    back = random.random((35, len(rows)), np.float32)
+    assert np.allclose(back @ once, (back @ (scale * lone.seen)) @ mix, rtol=1e-3)
 
 
 def test_light_of_elements_is_that_of_the_dense_solve():
