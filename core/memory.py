@@ -6,10 +6,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 GIB = 1 << 30
-DEFAULT = 4.0  # GiB
+DEFAULT, LEAST_MEMORY = 4.0, 0.25  # GiB
 
 CHUNK = 1 / 64
 """Part of what a bake may take that passing arrays of one step may, on all threads together."""
+
+THREADS, IN_THREAD = 1 / 4, 64e6
+"""Part of it that all threads together may take while they work, and bytes that one takes."""
 
 _allowed = DEFAULT * GIB
 
@@ -23,6 +26,11 @@ def allowing(gib: float) -> Iterator[None]:
         yield
     finally:
         _allowed = before
+
+
+def most_threads() -> int:
+    """Threads whose passing arrays fit."""
+    return max(int(THREADS * _allowed / IN_THREAD), 1)
 
 
 def slices(count: int, each: float, threads: int = 1) -> list[slice]:

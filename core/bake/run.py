@@ -7,13 +7,15 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
+from ..footprint import refusal
+from ..memory import allowing
 from ..panes import Panes
 from ..panes.exits import gather_panes, joined, smooth_panes
 from ..panes.regions import region_of
 from ..panes.trust import concentration
 from ..planner import MOST_ENTRIES, Settings, more_points
 from ..rays import CHUNK
-from ..scene import Scene
+from ..scene import Scene, SceneError
 from ..transfer import Begun
 from .check import compression_error, gather_noise, interpolation_error
 from .clock import Clock, Progress
@@ -56,10 +58,13 @@ def bake(
     """
     settings = settings or Settings()
     kept = Kept() if kept is None or settings.time_budget else kept
+    if sentence := refusal(scene, settings):
+        raise SceneError(sentence)
     kept.open(scene, settings)
     clock = Clock(progress, kept.seconds, kept.reached, spent)
     try:
-        result = kept.part("bake", lambda: _bake(scene, settings, clock, kept))
+        with allowing(settings.memory):
+            result = kept.part("bake", lambda: _bake(scene, settings, clock, kept))
     except Cancelled:
         kept.seconds, kept.reached = clock.earlier + clock.spent, clock.reached
         kept.save()

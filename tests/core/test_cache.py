@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lightpanes.core.bake import Bake, Cache, Cancelled, Kept, bake, steps
+from lightpanes.core import footprint
+from lightpanes.core.bake import Bake, Cache, Cancelled, Kept, bake
 from lightpanes.core.bake.cache import decode, encode
 from lightpanes.core.files import replacing
 from lightpanes.core.transfer import Begun, Links, Transport
@@ -69,7 +70,7 @@ def test_a_bake_goes_on_in_another_process(cache, exits):
 
 
 def test_a_bake_with_elements_goes_on_in_another_process(cache, monkeypatch):
-    monkeypatch.setattr(steps, "MOST_ENTRIES", 150)
+    monkeypatch.setattr(footprint, "BALANCED", 150)
     settings = quick(entries=500)
     alone = bake(made(), settings)
     cancelled(cache, settings, "Lamps", 0.0)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lightpanes.core import footprint
 from lightpanes.core.bake import bake, steps
 from lightpanes.core.point_cache.darts import first_come, first_of_many
 from lightpanes.core.rays import Bvh
@@ -101,7 +102,7 @@ def test_no_albedo_makes_light_of_elements_grow():
 
 @pytest.fixture
 def few_entries(monkeypatch):
-    monkeypatch.setattr(steps, "MOST_ENTRIES", 400)
+    monkeypatch.setattr(footprint, "BALANCED", 400)
 
 
 @pytest.mark.usefixtures("frugal")
@@ -109,7 +110,7 @@ def test_a_bake_with_elements_relights_as_one_without(monkeypatch):
     made = room(lights=[lamp(PLACE)])
     given = quick(entries=1300, entry_rays=512)
     plain = bake(made, given)
-    monkeypatch.setattr(steps, "MOST_ENTRIES", 400)
+    monkeypatch.setattr(footprint, "BALANCED", 400)
     found = bake(made, given)
     assert found.report["entries"] == pytest.approx(1300, rel=0.15)
     for place in (PLACE, (0.6, 2.4, 1.2)):
