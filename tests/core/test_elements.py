@@ -8,15 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lightpanes.core import footprint
 from lightpanes.core.bake import bake, steps
 from lightpanes.core.point_cache.darts import first_come, first_of_many
 from lightpanes.core.rays import Bvh
 from lightpanes.core.surface import cut_patches, make_patches
 from lightpanes.core.threads import use_threads
 from lightpanes.core.transfer import (
+    ElementTransport,
     find_elements,
     find_entries,
-    make_element_transport,
+    link_elements,
     make_gatherer,
     make_transport,
 )
@@ -42,14 +44,14 @@ def both():
     gatherer = make_gatherer(made, finer, elements.sides, bvh, OFFSET)
     return (
         elements,
-        make_element_transport(entries, elements, whole, gatherer, 512),
+        ElementTransport(elements, whole, link_elements(entries, elements, whole, gatherer, 512)),
         make_transport(elements.sides, gatherer, 1024),
     )
 
 
 def test_elements_are_parts_of_entries():
     elements, found, _ = both()
-    assert 2 * len(found.far) < len(elements) == pytest.approx(1000, rel=0.15)
+    assert 2 * len(found.links.far) < len(elements) == pytest.approx(1000, rel=0.15)
     assert (np.diff(elements.entry) >= 0).all()
     assert np.allclose(np.bincount(elements.entry, elements.share), 1, atol=1e-5)
 
@@ -63,8 +65,13 @@ def test_products_with_elements_are_those_of_their_matrix():
     assert np.allclose(found.leaving(rows, values[rows]), values[rows].T @ matrix[rows], rtol=1e-4, atol=1e-6)
     glow = random.random(len(elements), np.float32)
     lone = found.spots(rows, glow)
-    mix = random.random((lone.seen.shape[1], 3), np.float32)
-    assert np.allclose(lone.seen @ mix, (matrix @ lone.radiosity(mix))[rows], rtol=1e-3, atol=1e-5)
+    mix = random.random((lone.seen.shape[1], 40), np.float32)
+    scale = random.random((len(rows), 1), np.float32)
+    once = (scale * lone.seen) @ mix
+    assert np.allclose(once, scale * (matrix @ lone.radiosity(mix))[rows], rtol=1e-3, atol=1e-5)
+    # and transposed
+    back = random.random((35, len(rows)), np.float32)
+    assert np.allclose(back @ once, (back @ (scale * lone.seen)) @ mix, rtol=1e-3)
 
 
 def test_light_of_elements_is_that_of_the_dense_solve():
@@ -95,7 +102,7 @@ def test_no_albedo_makes_light_of_elements_grow():
 
 @pytest.fixture
 def few_entries(monkeypatch):
-    monkeypatch.setattr(steps, "MOST_ENTRIES", 400)
+    monkeypatch.setattr(footprint, "BALANCED", 400)
 
 
 @pytest.mark.usefixtures("frugal")
@@ -103,7 +110,7 @@ def test_a_bake_with_elements_relights_as_one_without(monkeypatch):
     made = room(lights=[lamp(PLACE)])
     given = quick(entries=1300, entry_rays=512)
     plain = bake(made, given)
-    monkeypatch.setattr(steps, "MOST_ENTRIES", 400)
+    monkeypatch.setattr(footprint, "BALANCED", 400)
     found = bake(made, given)
     assert found.report["entries"] == pytest.approx(1300, rel=0.15)
     for place in (PLACE, (0.6, 2.4, 1.2)):
