@@ -1,7 +1,7 @@
 """What a bake holds in memory at its height, counted before it begins, and the forms and budgets of it that fit.
 
 Chunks take care of passing arrays (memory.py). What stays is counted here: bytes for each triangle, texel, pair of entries
-and the like, fitted from above to the largest memory of bakes of very different shapes (`python -m tests.bench memory`).
+and the like, fitted from above to the largest memory of bakes of very different shapes (`python -m tests.bench scaling`).
 """
 
 from __future__ import annotations
