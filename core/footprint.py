@@ -15,7 +15,7 @@ from .planner import LEAST, Budget, Settings, plan, uses_points
 from .scene import Scene
 
 # bytes
-BASE = 100e6
+BASE = 150e6
 IN_TRIANGLE = 850
 IN_TEXEL = 60
 AT_POINTS, IN_ROW = 100, 18  # of a texel: where points are the exits; where it has a row, for each of its numbers
