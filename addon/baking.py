@@ -75,6 +75,7 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         seed=asked.seed,
         exits=asked.exits.lower(),
         photons=caustics.photons_asked(scene),
+        memory=asked.memory_budget,
     )
     yield Progress("Atlas", 0.0, 0)
     objects = [item for item in scene.objects if item.type == "MESH" and store.TAG not in item]

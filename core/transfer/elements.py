@@ -264,6 +264,9 @@ def link_elements(
     # what is close to an element hides what is far
     own = elements.entry
     brought = np.bincount(to, weight, len(elements))
+    # slivers are few rays' and few looks' guess: what they are brought may not multiply light, or the solve diverges
+    weight /= np.maximum(brought * MAX_ALBEDO, 1).astype(np.float32)[to]
+    brought = np.minimum(brought, 1 / MAX_ALBEDO)
     reach, distant = whole.between.sum(axis=1), far.sum(axis=1)
     factor = np.where(distant[own] > 0, np.maximum(reach[own] - brought, 0) / np.maximum(distant[own], 1e-30), 1)
     factor /= np.maximum(np.bincount(own, factor * elements.share, count), 1e-30)[own]
