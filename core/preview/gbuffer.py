@@ -16,7 +16,7 @@ from .camera import Camera
 from .lobes import DIFFUSE, GLASS, choose
 from .surfaces import Surfaces
 
-CHUNK = 1 << 14
+CHUNK = 1 << 15
 """Pixels that are traced together."""
 
 BOUNCES = 12
