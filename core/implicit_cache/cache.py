@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..memory import keep_freed
 from ..rays import chunks
 from ..threads import in_threads
 from .keys import surface_keys
@@ -71,6 +72,7 @@ class Cache:
             raise ValueError(f"{len(octaves)} coarse lattices need as many trusts, not {len(self.trust)}.")
         self.measured = measured and len(octaves) > 0
         self.most, self.by_normal, self.seed, self.threads = most, by_normal, seed, threads
+        keep_freed()
         self.table = Table(channels, slots)
 
     @property

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..implicit_cache import Cache
-from ..memory import keep_freed
 from ..sampling import PLASTIC, hash_uniform
 from ..scene import Light, SceneError, Sky
 from ..threads import in_threads
@@ -113,7 +112,6 @@ class Preview:
         settings: Settings | None = None,
         baked: Baked | None = None,
     ):
-        keep_freed()
         self.surfaces, self.camera = surfaces, camera
         self.settings = settings or Settings()
         self.sky, self.baked = sky, baked
