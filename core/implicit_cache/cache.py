@@ -163,7 +163,7 @@ class Cache:
 
         def gather(item):
             rows, piece = item
-            sums, total = [], values[rows].T
+            sums, total = [], np.ascontiguousarray(values[rows].T)
             for tier in piece.tiers:
                 total = np.stack([tier.shares.sums(row) for row in total], dtype=np.float32)
                 sums.append(total)

@@ -56,11 +56,11 @@ class Darkness:
         (k,) the probability with which they were chosen. None where all do."""
         if not self._any[lamp]:
             return None
-        dark = self._dark[lamp].take(cell)
+        dark = self._dark[lamp].take(cell, mode="clip")
         rows = np.flatnonzero(~dark | (u[0] < _F(1 / RARELY)))
         if len(rows) == len(cell):
             return None
-        dark, u = dark.take(rows), u.take(rows, axis=1)
+        dark, u = dark.take(rows), u.take(rows, axis=1, mode="clip")
         # what is left of the number that chose is even again
         u[0][dark] *= RARELY
         return rows, u, np.where(dark, _F(1 / RARELY), _F(1))

@@ -105,10 +105,10 @@ def _trace(surfaces, camera, sky, offset, rows, number, seed, transparent):
         rows, triangle, u, v = found.rows, found.triangle, found.u, found.v
         if not len(rows):
             break
-        who, way, distance = alive[rows], way.take(rows, axis=0), found.distance
+        who, way, distance = alive[rows], way.take(rows, axis=0, mode="clip"), found.distance
         weight = None if weight is None else weight[rows]
         hit = scaled(way, distance)
-        hit += start.take(rows, axis=0)
+        hit += start.take(rows, axis=0, mode="clip")
         normal, flat = surfaces.normals(triangle, u, v, way)
         gone = gone[rows] + distance
         inside = inside[rows] if turn else inside

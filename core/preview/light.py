@@ -92,8 +92,8 @@ class Lamps:
             some, u, chance = chosen
             share = chance if share is None else share[some] * chance
             rows = some if rows is None else rows[some]
-            cell, points = cell.take(some), points.take(some, axis=0)
-            place, facing = place.take(some, axis=1), facing.take(some, axis=1)
+            cell, points = cell.take(some, mode="clip"), points.take(some, axis=0, mode="clip")
+            place, facing = place.take(some, axis=1, mode="clip"), facing.take(some, axis=1)
         sample = {"POINT": _ball, "SPOT": _ball, "SUN": _sun, "AREA": _panel}[light.kind]
         value, vectors = sample(light, place, facing, u, self._reach)
         if share is not None:
@@ -114,9 +114,9 @@ class Lamps:
             through = self._tracer.visibility(points, join(*vectors))
             self._learn(number, cell, through)
         else:
-            ways = join(*(part.take(lit) for part in vectors))
-            some = self._tracer.visibility(points.take(lit, axis=0), ways)
-            self._learn(number, cell.take(lit), some)
+            ways = join(*(part.take(lit, mode="clip") for part in vectors))
+            some = self._tracer.visibility(points.take(lit, axis=0, mode="clip"), ways)
+            self._learn(number, cell.take(lit, mode="clip"), some)
             through = np.zeros((len(value), *some.shape[1:]), np.float32)
             through[lit] = some
         return value * through if through.ndim == 1 else scaled(through, value)

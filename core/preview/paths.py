@@ -151,7 +151,9 @@ class PathTracer:
             at.position[rows], at.normal[rows], at.flat[rows], pixel[origin], span, u, spot, seed, bounces, turn + 1
         )  # fmt: skip
 
-    def _step(self, into: Light, piece, normal, flat, position, pixel, u, spot, seed, turn, bounces) -> _Vertices | None:
+    def _step(
+        self, into: Light, piece, normal, flat, position, pixel, u, spot, seed, turn, bounces
+    ) -> _Vertices | None:
         """One ray from each point of a piece: light of sky and emission that it meets, and its way, go into `into`, and so
         does what the last bounce brings; returns where it lands if it may go on from there."""
         surfaces, base = self.surfaces, _DIMENSIONS * turn
@@ -166,9 +168,9 @@ class PathTracer:
         into.way[piece][rows] = found.distance
         if bounces < 1 and not surfaces.looks.emits:
             return None
-        heading = directions.take(rows, axis=0)
+        heading = directions.take(rows, axis=0, mode="clip")
         hit = scaled(heading, found.distance)
-        hit += position.take(rows, axis=0)
+        hit += position.take(rows, axis=0, mode="clip")
         normal, flat = surfaces.normals(triangle, u, v, heading)
         if surfaces.looks.emits:
             light = surfaces.looks.emission(triangle, u, v) * _PI
@@ -182,7 +184,7 @@ class PathTracer:
         hit += surfaces.offset * flat
         who = pixel[rows]
         if len(self.lamps):
-            spot = spot if len(rows) == len(position) else spot.take(rows, axis=1)
+            spot = spot if len(rows) == len(position) else spot.take(rows, axis=1, mode="clip")
             pick = hash_uniform(who, base + 2, seed) if len(self.lamps) > AT_BOUNCES else None
             light = self.lamps.irradiance(hit, normal, spot, pick, most=AT_BOUNCES)
         else:

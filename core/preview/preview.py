@@ -295,7 +295,11 @@ class Preview:
         # float64: the product's fraction is what counts
         turn = self._drawn * TILE * TILE * step % 1
         shift = self._shifts[dimension]
-        numbers = shift + turn.astype(np.float32) if len(pixels) == shift.shape[1] else shift.take(pixels, axis=1)
+        numbers = (
+            shift + turn.astype(np.float32)
+            if len(pixels) == shift.shape[1]
+            else shift.take(pixels, axis=1, mode="clip")
+        )
         if len(pixels) != shift.shape[1]:
             numbers += turn.astype(np.float32)
         numbers -= np.floor(numbers)
@@ -322,7 +326,7 @@ class Preview:
         share = _F(1 / (2 + again // AGAIN))
 
         def improve(pixels, light):
-            light -= view.direct.take(pixels, axis=0)
+            light -= view.direct.take(pixels, axis=0, mode="clip")
             light *= share
             view.direct[pixels] += light
             film.change("direct", pixels, light)
