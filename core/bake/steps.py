@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from ..panes.modes import Modes, learn_modes, training_fields
 from ..panes.regions import features, make_regions, nearest, rooms, signature, split_regions, starts_of
 from ..panes.training import illuminate, training_lamps
 from ..panes.weights import PaneWeights, make_weights
-from ..planner import Budget, Settings, limit_rays, needs_panes, plan, uses_points
+from ..planner import Budget, Settings, needs_panes, plan, uses_points
 from ..rays import Bvh, Tracer
 from ..scene import Light, Scene
 from ..surface import Patches, SurfaceSamples, Texels, Vertices, cut_patches, make_patches, make_texels, make_vertices
@@ -50,14 +50,23 @@ as their elements, so the planner's own bakes do without."""
 ELEMENTS = 6
 """Elements of an entry above which there are more entries after all: near entries have the square of it in pairs."""
 
-KEPT_BACK = 0.85
-"""Part of the time left that is planned for: the check comes last, and machines have other things to do."""
+KEPT_BACK = 0.88
+"""Part of the time left that is planned for: no plan is kept exactly."""
+
+KEPT_FOR_CHECK = 0.9
+"""The same of the rays at exits, after which there is but the check, and what is written."""
+
+FEW_RAYS = 16
+"""Of an exit, by which it is seen how long more of them take."""
 
 FOCUSING = 0.05
 """Part of the time left in which caustics of lamps that are not live are traced, in the hurried bake and in the other."""
 
 TICKS = 1000
 """Of the clock, in which they are counted."""
+
+HURRIED_SCOUTS = 3000
+"""In a hurried bake, which is but looked at, of places from which entries are sought (transfer.entries.SCOUTS)."""
 
 GUIDES = 16
 """Training lamps that steer the points' density."""
@@ -86,7 +95,7 @@ class Prepared:
     live lamp changes, its bounces (3) and, where sky or faces shine, their first hit (3). guide: (1, ids, c) radiosity
     of a few lamps, None where texels are the exits. test_lamps: held-out ones, of unit power, and test_direct: (n, l) the
     irradiance of each at the entries, seen from all places; none where no lamp is live. kept: parts that were finished
-    before. fields: of the test lamps, all their bounces, and fresh: light gathered anew at the places that were last judged
+    before. fields: of the test lamps, all their bounces, and looks: light gathered anew at the places that are judged
     (`verdict.judge`); both made when first asked for.
     """
 
@@ -114,7 +123,7 @@ class Prepared:
     warnings: list[str]
     kept: Kept
     fields: EntryFields | None = None
-    fresh: dict = field(default_factory=dict)
+    looks: object = None
 
     @property
     def has_steady_light(self) -> bool:
@@ -128,7 +137,7 @@ class Prepared:
 @dataclass(frozen=True)
 class Surfaces:
     """What a bake starts from, whatever its budget. at_points: whether exits are points. focuses: whether anything casts
-    caustics."""
+    caustics. hurried: whether the bake is but looked at, and its texels are those where it is."""
 
     scene: Scene
     texels: Texels
@@ -137,6 +146,7 @@ class Surfaces:
     at_points: bool
     resolution: int
     focuses: bool
+    hurried: bool = False
 
 
 def prepare(scene: Scene, settings: Settings, clock: Clock | None = None, kept: Kept | None = None) -> Prepared:
@@ -188,7 +198,9 @@ def prepare_with(
     # points need not ask of each texel: those that a point serves are not buried
     step = max(-(-len(texels) // PILOTS), 1) if at_points else 1
     pilot = texels.samples.take(slice(None, None, step)).join(vertices.samples)
-    entries, buried, is_buried = find_entries(scene, patches, bvh, pilot, tracer.offset, seed)
+    entries, buried, is_buried = find_entries(
+        scene, patches, bvh, pilot, tracer.offset, seed, HURRIED_SCOUTS if surfaces.hurried else None
+    )
     if buried.all():
         buried[:] = False
         is_buried = _nothing
@@ -297,13 +309,27 @@ def _balanced(elements: int) -> int:
     return round(MOST_ENTRIES * max(1.0, elements / (ELEMENTS * MOST_ENTRIES)) ** 0.5)
 
 
-def in_time(made: Prepared, settings: Settings, clock: Clock, rays: str, places: int) -> None:
-    """Cut the budget's `rays` (a field of Budget) from so many places to what a time budget leaves for them."""
-    if settings.time_budget:
-        # without live lamps no stage has begun since the transport
-        clock.stop()
-        rate = clock.traced["Transport"] / max(clock.seconds["Transport"], 1e-3)
-        made.budget = limit_rays(made.budget, rays, places, rate, KEPT_BACK * time_left(settings, clock))
+def gather_in_time(
+    made: Prepared, settings: Settings, clock: Clock, field: str, places: int, gather: Callable[[int, int], np.ndarray]
+) -> np.ndarray:
+    """What `gather` returns of rays, a number, and a seed: so many as the budget's `field` says, from so many places, or,
+    where a time budget binds, as there is time for.
+
+    How long they take is seen from a few.
+    """
+    seed, rays = settings.seed + 41, getattr(made.budget, field)
+    clock.start("Exits", places * rays)
+    if not settings.time_budget:
+        return gather(rays, seed)
+    began = clock.spent
+    few = gather(min(FEW_RAYS, rays), seed + 100)
+    each = max(clock.spent - began, 1e-4) / min(FEW_RAYS, rays)
+    more = int(min(rays, KEPT_FOR_CHECK * time_left(settings, clock) / each))
+    if more <= 2 * FEW_RAYS:
+        made.budget = replace(made.budget, **{field: min(FEW_RAYS, rays)})
+        return few
+    made.budget = replace(made.budget, **{field: more})
+    return gather(more, seed)
 
 
 def grey(values: np.ndarray) -> np.ndarray:
