@@ -9,9 +9,10 @@ import numpy as np
 
 from ..caustics import casters
 from ..panes.entry_light import EntryLight, EntrySurface
-from ..panes.held_out import held_out_lamps
+from ..panes.held_out import held_out_lamps, representative
 from ..panes.modes import Modes, learn_modes, training_fields
 from ..panes.regions import features, make_regions, nearest, rooms, signature, split_regions, starts_of
+from ..panes.training import NAME as ANYWHERE
 from ..panes.training import illuminate, training_lamps
 from ..panes.weights import PaneWeights, make_weights
 from ..planner import Budget, Settings, needs_panes, plan, uses_points
@@ -71,7 +72,13 @@ HURRIED_SCOUTS = 3000
 GUIDES = 16
 """Training lamps that steer the points' density."""
 
-TEST_LAMPS = 12
+CANDIDATES = 72
+"""Lamps of which TEST_LAMPS are chosen."""
+
+DIM = 0.1
+"""Lamps somewhere in the air that light less than this part of what most of them do are no test: outside, say, or in a crack."""
+
+TEST_LAMPS = 24
 """Held-out lamps that measure the error at the end of a bake; three at a time take red, green and blue."""
 
 
@@ -236,7 +243,7 @@ def prepare_with(
             f"lamps {budget.entries}",
             lambda: illuminate(lamps, places, PLACES, tracer, seed, lambda n: clock.tick(n, n * len(entries))),
         )
-        test = held_out_lamps(scene, places, gatherer, TEST_LAMPS, seed + 1006) if judges is None else judges
+        test = _judges(scene, entries, gatherer, transport, surface, tracer, seed) if judges is None else judges
         test = [replace(lamp, power=np.ones(3)) for lamp in test[: len(test) // 3 * 3]]
         eyes = EntryLight(surface, tracer, seed, few=PLACES)
         test_direct = np.stack([grey(eyes.unit(lamp)) for lamp in test], 1)
@@ -287,6 +294,23 @@ def prepare_with(
         made.exits = texels.keep(np.lexsort((texels.index, own)))
         made.starts = starts_of(own, modes.regions)
     return made
+
+
+def _judges(scene, entries, gatherer, transport, surface, tracer, seed):
+    """TEST_LAMPS held-out lamps that stand for many."""
+    many = held_out_lamps(scene, entries.places, gatherer, CANDIDATES, seed + 1006)
+    if not many:
+        return many
+    eyes = EntryLight(surface, tracer, seed, few=1)
+    direct = np.stack([grey(eyes.unit(lamp)) for lamp in many], 1)
+    field = transport.arriving(entries.albedo.mean(axis=1, keepdims=True) * direct)
+    area = (entries.area / entries.area.sum()).astype(np.float32)
+    mean = area @ field
+    alike = np.array([lamp.name for lamp in many]) == ANYWHERE
+    # suns are measured in other units
+    kept = np.flatnonzero(~alike | (mean > DIM * np.median(mean[alike]))) if alike.any() else np.arange(len(many))
+    uneven = np.sqrt(area @ field**2) / np.maximum(mean, 1e-30)
+    return representative([many[k] for k in kept], uneven[kept], TEST_LAMPS)
 
 
 def _focused(surfaces: Surfaces, surface: EntrySurface, settings: Settings, clock: Clock) -> np.ndarray:

@@ -26,7 +26,7 @@ BLOCKS = 256
 EVEN_RAYS = 64
 """Rays of a texel in each half, for the light of even entries."""
 
-PATHS = 12
+PATHS = 8
 """Paths of a texel in each half, for what entries hide."""
 
 DARK = 1e-6

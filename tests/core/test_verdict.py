@@ -151,7 +151,7 @@ def test_the_noise_of_exits_is_known_before_they_are(made):
     rows = gather_panes(made.gatherer, made.exits.samples, made.starts, made.tables, rays, 41)
     found = judged(made, verdict.shown_by_texels(made, rows, made.starts))
     foreseen = verdict.judge(replace(made, budget=replace(made.budget, exit_rays=rays)), 0)
-    assert foreseen.exits == pytest.approx(found.exits, rel=0.3)
+    assert foreseen.exits == pytest.approx(found.exits, rel=0.4)
 
 
 def test_a_verdict_does_not_depend_on_threads(made):
