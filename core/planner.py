@@ -185,10 +185,15 @@ def sized(budget: Budget, entries: int, settings: Settings) -> Budget:
     return _as_given(changed, settings)
 
 
+def usual(settings: Settings, budget: Budget) -> Budget:
+    """What trials usually lead to: `budget` with other entries, and what goes with them."""
+    entries = USUAL * (0.05 / settings.error_target) ** (1 / FALL)
+    return sized(budget, _clamp(entries, LEAST["entries"], MOST_ENTRIES), settings)
+
+
 def first_try(settings: Settings, budget: Budget) -> Budget:
     """What a bake that is but looked at takes, to tell from it what `budget` takes for the target."""
-    usual = USUAL * (0.05 / settings.error_target) ** (1 / FALL)
-    small = sized(budget, _clamp(usual / 3.5, *PILOT), settings)
+    small = sized(budget, _clamp(usual(settings, budget).entries / 3.5, *PILOT), settings)
     return _as_given(replace(small, points=max(budget.points // 2, 1)), settings)
 
 
