@@ -3,8 +3,8 @@
 The planner's own budgets go into a model of few terms. Its factors were fitted (least squares of the relative error,
 none below 0) to the processor's time and the largest memory of bakes of the sample scenes. Times are the processor's over
 the number of threads; a scene that was baked before is forecast by how far its last bake was from the model.
-`python -m tests.bench forecast` measures both on the samples at 256² texels. The planner's trials came after the fit: a
-bake that needs several takes longer than the bare model says.
+`python -m tests.bench forecast` measures both on the samples at 256² texels. The planner's first trial, and what judging it
+and the bake takes, were added after the fit; a bake that needs more trials takes longer than the bare model says.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import bpy
 from ..core import footprint
 from ..core.bake.stored import DENSER
 from ..core.memory import GIB
-from ..core.planner import Budget, Settings, needs_panes, plan
+from ..core.planner import Budget, Settings, first_try, needs_panes, plan, usual
 from ..core.threads import thread_count
 from . import store
 from .obstacles import Facts
@@ -32,6 +32,7 @@ PLACE = 6.2e-6
 PLACE_RAY = 2.9e-7
 POINT = 2.3e-5
 POINT_RAY = 5.4e-7
+JUDGED = 3.0  # what no count changes of a first trial, and of judging it and the bake
 
 # bytes
 LEAST = 70e6
@@ -64,8 +65,14 @@ def predict(facts: Facts) -> Forecast:
     texels = int(COVERED * settings.resolution**2) if textured else 0
     corners = sum(len(item.data.vertices) for item in facts.at_vertices)
     at_points = footprint.takes_points(settings, budget, triangles, texels, corners)
+    live = needs_panes(scene)
+    if live:
+        budget = usual(settings, budget)
     budget = footprint.within(budget, settings, triangles, at_points)
-    seconds, held = model(budget, triangles, texels + corners, at_points, needs_panes(scene))
+    seconds, held = model(budget, triangles, texels + corners, at_points, live)
+    if live:
+        small = first_try(settings, budget)
+        seconds += (LIVE_PAIR * small.entries**2 + JUDGED) / thread_count()
     seconds *= _correction(facts)
     limit = facts.scene.lightpanes.time_budget
     if limit > 0:
@@ -133,6 +140,9 @@ def _correction(facts) -> float:
         budget, places = Budget(**report["budget"]), report["texels"] + report.get("vertices", 0)
         live = "panes" not in report["skipped"]
         said, _ = model(budget, report["triangles"], places, report["exits"] != "texels", live)
+        tried = [one["entries"] for one in report.get("rounds", ())]
+        if tried:
+            said += (LIVE_PAIR * sum(n**2 for n in tried[:-1]) + JUDGED) / thread_count()
         took = report["total_seconds"] + report.get("earlier_seconds", 0.0)
         return min(max(took / said, 1 / FURTHEST), FURTHEST)
     except (KeyError, TypeError):

@@ -29,14 +29,32 @@ MOST_ENTRIES, MOST_POINTS = 10_000, 60_000
 IN_REGION = 22
 """Entries of a region: its panes are then about two thirds of what would hold any light."""
 
-GOAL = 0.92
+GOAL = 0.9
 """Part of the error target that a larger budget aims at: no step hits what it aims at."""
 
 OF_NOISE, OF_POINTS = 0.4, 0.6
 """Parts of the target that the gather's noise, and points, may take; they add up as squares."""
 
-FALL = (0.4, 0.55, 0.9)
-"""Powers of the entries' number with which their error falls: least, usual, most."""
+LEAST_NOISE = 0.15
+"""The same where that saves another trial: rays at exits cost less than anything else."""
+
+FALL, FALL_SPREAD = 0.65, 0.15
+"""Power of the entries' number with which their error falls, and how far that of a scene is from it."""
+
+FREAK = 0.15
+"""How far one trial's error is from where others say that it should be, as a part of it: where regions end is chance."""
+
+RAYS_FALL = 0.75
+"""Power of the rays' number with which the noise of a gather falls: they are stratified."""
+
+MOST_RAYS = {"exit_rays": 2048, "point_rays": 8192}
+"""Of an exit, where time is left for them."""
+
+USUAL = 3750
+"""Entries that an error of 0.05 takes."""
+
+PILOT = (500, 1600)
+"""Least and most entries of the bake that is tried first, a quarter or so of what the target usually takes."""
 
 POINT_RAYS = 130
 """Rays that take as long as to find a point and place it."""
@@ -171,32 +189,57 @@ def sized(budget: Budget, entries: int, settings: Settings) -> Budget:
     return _as_given(changed, settings)
 
 
-def refine(settings: Settings, judged: list[Judged], at_points: bool) -> Budget:
+def usual(settings: Settings, budget: Budget) -> Budget:
+    """What trials usually lead to: `budget` with other entries, and what goes with them."""
+    entries = USUAL * (0.05 / settings.error_target) ** (1 / FALL)
+    return sized(budget, _clamp(entries, LEAST["entries"], MOST_ENTRIES), settings)
+
+
+def first_try(settings: Settings, budget: Budget) -> Budget:
+    """What a bake that is but looked at takes, to tell from it what `budget` takes for the target."""
+    small = sized(budget, _clamp(usual(settings, budget).entries / 3.5, *PILOT), settings)
+    return _as_given(replace(small, points=max(budget.points // 2, 1)), settings)
+
+
+def refine(settings: Settings, judged: list[Judged], at_points: bool, whole: bool = True) -> Budget:
     """What to try next, or the last budget with other rays at its exits where its entries are enough, or the most.
 
-    judged: all that were tried, small to large. Half of what is asked for may come from the entries' size, with which all
-    but the gather's noise falls.
+    judged: all that were tried. whole: whether the last of them can be the bake; otherwise what is tried next may be smaller
+    as well. Most of what is asked for may come from the entries' size, with which all but the gather's noise falls.
     """
     last = judged[-1]
     target = settings.error_target
-    allowed = OF_NOISE * target
-    rays = _clamp(last.budget.exit_rays * (last.noise / allowed) ** 2, LEAST["exit_rays"], 2048)
-    noise = OF_POINTS * target if at_points else last.noise * (last.budget.exit_rays / rays) ** 0.5
-    goal = max((GOAL * target) ** 2 - noise**2, (0.3 * target) ** 2) ** 0.5
-    size = _beyond_noise(last)
+    size = beyond_noise(last)
+    noise = OF_POINTS * target if at_points else OF_NOISE * target
+    enough = size**2 + noise**2 <= target**2
+    if not at_points and not enough and size**2 + (LEAST_NOISE * target) ** 2 <= target**2:
+        noise, enough = (target**2 - size**2) ** 0.5, True
+    allowed = OF_NOISE * target if at_points else noise
+    rays = _clamp(np.ceil(last.budget.exit_rays * (last.noise / allowed) ** (1 / RAYS_FALL)), LEAST["exit_rays"], 2048)
     fine = replace(last.budget, exit_rays=rays)
-    if size**2 + noise**2 <= target**2 or last.budget.entries >= MOST_ENTRIES:
+    if whole and (enough or last.budget.entries >= MOST_ENTRIES):
         return _as_given(fine, settings)
-    fall = FALL[1]
-    if len(judged) > 1:
-        more = np.log(last.budget.entries / judged[0].budget.entries)
-        fall = float(np.clip(np.log(_beyond_noise(judged[0]) / size) / more, FALL[0], FALL[2]))
-    # the first trial says little of a scene; a step too far costs more than one more step
-    times = min(max((size / goal) ** (1 / fall), 1.3), 3.5 if len(judged) == 1 else 2.2)
-    return _as_given(sized(fine, _clamp(last.budget.entries * times, 1, MOST_ENTRIES), settings), settings)
+    goal = max((GOAL * target) ** 2 - noise**2, (0.3 * target) ** 2) ** 0.5
+    # a step too far costs more than one more step
+    most = 6.0 if len(judged) == 1 else 2.5
+    times = np.clip(_asked(judged, goal) / last.budget.entries, 1.25 if whole else 0.0, most)
+    entries = _clamp(last.budget.entries * times, LEAST["entries"], MOST_ENTRIES)
+    return _as_given(sized(fine, entries, settings), settings)
 
 
-def _beyond_noise(judged):
+def _asked(judged, goal):
+    """Entries whose error is the goal, by all that was tried: a line through logarithms, whose slope is FALL as far as
+    nothing is known."""
+    entries = np.log([j.budget.entries for j in judged])
+    size = np.log([beyond_noise(j) for j in judged])
+    away = entries - entries.mean()
+    known = (FREAK / FALL_SPREAD) ** 2
+    fall = np.clip((known * FALL - away @ size) / (known + away @ away), 0.4, 0.9)
+    return float(np.exp((size.mean() + fall * entries.mean() - np.log(goal)) / fall))
+
+
+def beyond_noise(judged: Judged) -> float:
+    """The part of the error that more rays leave."""
     return max(judged.error**2 - judged.noise**2, (0.3 * judged.error) ** 2) ** 0.5
 
 
@@ -267,12 +310,6 @@ def uses_points(settings: Settings, budget: Budget, texels: int, vertices: int) 
     if settings.exits == "atlas" and vertices:
         raise SceneError("Objects that are lit at their vertices need points as exits; an atlas has no place for them.")
     return vertices > 0 or settings.exits != "texels"
-
-
-def limit_rays(budget: Budget, rays: str, places: int, rate: float, left: float) -> Budget:
-    """Budget whose gather fits into `left` seconds at `rate` rays a second. rays: the field that is cut, "exit_rays" or
-    "point_rays"; places: from how many they start."""
-    return replace(budget, **{rays: _clamp(left * rate / max(places, 1), 16, getattr(budget, rays))})
 
 
 def _clamp(value: float, low: int, high: int) -> int:

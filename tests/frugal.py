@@ -12,7 +12,7 @@ def save_rays(patch: pytest.MonkeyPatch, judge: bool = False) -> None:
     if not judge:
         patch.setattr(steps, "TEST_LAMPS", 6)
         patch.setattr(verdict, "BLOCKS", 64)
-        patch.setattr(verdict, "EVEN_RAYS", 64)
+        patch.setattr(verdict, "EVEN_RAYS", 32)
         patch.setattr(verdict, "PATHS", 4)
     patch.setattr(reach, "PARTICLES", 4096)
     patch.setattr(entries, "SCOUTS", 1500)

@@ -2,17 +2,20 @@
 
 Most of it is a plain gather of the entries' radiosities, solved without panes for the lamps at hand. That an entry does
 not shine evenly, near a lamp or across a shadow's edge, is found along fewer paths, which look at the lamp from where they
-really land. Later bounces are softer, and tracing those as well brought nothing but noise.
+really land. That shows only where the entry is near: seen from afar its brighter and its darker half make up for each
+other, and a path that finds but one of them brings noise. Later bounces are softer, and tracing those as well brought
+nothing but noise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 
 from ..lights import irradiance
-from ..panes.exits import gather_panes
+from ..panes.regions import starts_of
 from ..rays import chunks
 from ..sampling import cosine_hemisphere, hammersley_points, hash_uniform
 from ..surface import SurfaceSamples, sample_triangles, surface_colour
@@ -21,31 +24,80 @@ from ..transfer.entries import MAX_ALBEDO
 from ..transfer.gather import turns
 from .steps import EntryFields, Prepared
 
+NEAR = 4.0
+"""Within this many times its size, an entry shines unevenly."""
+
+SETTLED, MOST_BOUNCES = 1e-3, 1000
+"""Part of all light that a bounce may still change."""
+
+TOGETHER, PATHS = 64, 16_384
+"""Places of one region that are blended at once; paths that are followed at once."""
+
 
 def entry_fields(made: Prepared) -> EntryFields:
-    """All bounces of the test lamps' light by the transport, without panes; remembered, for the transport is let go."""
+    """All bounces of the test lamps' light by the transport; remembered, for the transport is let go.
+
+    From what panes say of them, until nothing changes any more.
+    """
     if made.fields is None:
         entries, lamps = made.entries, len(made.test_lamps)
         albedo = np.tile(entries.albedo, (1, lamps))
-        radiosity = made.transport.solve(albedo, albedo * np.repeat(made.test_direct, 3, axis=1), 1e-2)
-        arriving = made.transport.arriving(radiosity).reshape(len(entries), lamps, 3)
+        direct = np.repeat(made.test_direct, 3, axis=1)
+        radiosity = made.weights.radiosity_of_white(made.test_direct)
+        for _ in range(MOST_BOUNCES):
+            arriving = made.transport.arriving(radiosity)
+            before, radiosity = radiosity, albedo * (direct + arriving)
+            if (np.abs(radiosity - before).sum(axis=0) <= SETTLED * radiosity.sum(axis=0)).all():
+                break
         radiosity = np.pad(radiosity, ((0, made.gatherer.size - len(entries)), (0, 0)))
-        made.fields = EntryFields(radiosity.reshape(-1, lamps, 3), arriving)
+        made.fields = EntryFields(radiosity.reshape(-1, lamps, 3), arriving.reshape(-1, lamps, 3))
     return made.fields
 
 
 def even_light(
     made: Prepared,
     places: SurfaceSamples,
-    fields: EntryFields,
+    region: np.ndarray,
+    values: np.ndarray,
     rays: int,
     seed: int,
     tick: Callable[[int], None] | None = None,
-) -> np.ndarray:
-    """(n, l, 3) float32 indirect irradiance of places, W/m², were every entry to shine evenly."""
-    table = fields.radiosity.reshape(1, len(fields.radiosity), -1)
-    found = gather_panes(made.gatherer, places, np.array([0, len(places)]), table, rays, seed, tick)
-    return found.reshape(len(places), *fields.radiosity.shape[1:])
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n, l, 3) indirect irradiance of places, W/m², were every entry to shine evenly, and (n, s) what the panes of regions
+    (n,) make of pane weights `values` (regions, panes, s), along the same rays. All float32."""
+    fields = entry_fields(made)
+    order = np.argsort(region, kind="stable")
+    some, region = places.take(order), region[order]
+    landed = np.empty((len(some), rays), np.int32)
+    done = np.zeros(len(some), np.int64)
+
+    def consume(piece, ids):
+        # a chunk's blocks come in order
+        at = int(done[piece.start])
+        landed[piece, at : at + len(ids)] = ids.T
+        done[piece.start] = at + len(ids)
+
+    made.gatherer.gather(some, rays, seed, consume, tick)
+    light = fields.radiosity.reshape(len(fields.radiosity), -1)
+    even = np.empty((len(some), light.shape[1]), np.float32)
+    shown = np.empty((len(some), values.shape[2]), np.float32)
+    panes = values.shape[1]
+
+    def blend(piece):
+        own = region[piece.start]
+        ids, row = np.unique(landed[piece], return_inverse=True)
+        row = row.reshape(-1, rays)
+        even[order[piece]] = light[ids][row].mean(axis=1)
+        shown[order[piece]] = (made.tables[own][ids, :panes] @ values[own])[row].mean(axis=1)
+
+    starts = starts_of(region, len(values))
+    pieces = [
+        slice(start, min(start + TOGETHER, end))
+        for first, end in pairwise(starts)
+        for start in range(first, end, TOGETHER)
+    ]
+    in_threads(blend, pieces)
+    return even.reshape(len(some), *fields.radiosity.shape[1:]), shown
 
 
 def uneven_light(made: Prepared, places: SurfaceSamples, fields: EntryFields, rays: int, seed: int) -> np.ndarray:
@@ -55,6 +107,7 @@ def uneven_light(made: Prepared, places: SurfaceSamples, fields: EntryFields, ra
     lattice = hammersley_points(rays, seed)
     tracer, gatherer, entries, patches = made.tracer.alone(), made.gatherer, made.entries, made.patches
     offset = np.float32(tracer.offset)
+    reach = NEAR * entries.span()
 
     def part(piece: slice):
         number = np.arange(piece.start, piece.stop)
@@ -67,6 +120,7 @@ def uneven_light(made: Prepared, places: SurfaceSamples, fields: EntryFields, ra
         ids, hits = gatherer.meet(np.ascontiguousarray(origins), np.ascontiguousarray(directions), flat.T)
         # through glass nothing says where a ray landed: as if its entry shone evenly
         known = np.flatnonzero((ids < len(entries)) & (hits.triangle >= 0) & ~gatherer.is_clear(hits.triangle))
+        known = known[hits.distance[known] < reach[ids[known]]]
         own, met = ids[known], hits.triangle[known]
         inside = np.stack([1 - hits.u[known] - hits.v[known], hits.u[known], hits.v[known]], 1)
         weights = np.einsum("nk,nkc->nc", inside, patches.weights[met])
@@ -81,5 +135,5 @@ def uneven_light(made: Prepared, places: SurfaceSamples, fields: EntryFields, ra
             more[known, column] = albedo * (direct + fields.arriving[own, column]) - fields.radiosity[own, column]
         result[piece] = more.reshape(len(number), rays, len(lamps), 3).mean(axis=1)
 
-    in_threads(part, chunks(len(places), max(2048 // rays, 1)))
+    in_threads(part, chunks(len(places), max(PATHS // rays, 1)))
     return result

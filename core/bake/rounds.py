@@ -11,12 +11,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..footprint import within
-from ..planner import Budget, Judged, Settings, Took, fit, needs_panes, part_of, plan, refine
+from ..planner import (
+    MOST_RAYS,
+    Budget,
+    Judged,
+    Settings,
+    Took,
+    beyond_noise,
+    first_try,
+    fit,
+    needs_panes,
+    part_of,
+    plan,
+    refine,
+)
 from ..scene import Light, Scene
 from .clock import Clock
 from .kept import Kept
 from .steps import KEPT_BACK, Prepared, Surfaces, find_surfaces, prepare_with, time_left, transport_parts
-from .verdict import judge
+from .verdict import BLOCKS, judge, some_blocks
 
 ROUNDS = 5
 
@@ -42,18 +55,21 @@ def settle(scene: Scene, settings: Settings, clock: Clock, kept: Kept) -> Settle
     given = settings.entries is not None or not needs_panes(scene)
     if given and not settings.time_budget:
         return Settled(prepare_with(surfaces, settings, budget, clock, kept), "given", [])
-    least = part_of(budget, settings, 0.0)
-    if not given:
-        least = replace(
-            least, exit_rays=budget.exit_rays, point_rays=budget.point_rays, points=max(budget.points // 2, 1)
-        )
     clock.start("Pilot")
     pilot = clock.pilot()
-    made, found = _try(surfaces, settings, least, pilot, Kept() if settings.time_budget else kept)
+    if settings.time_budget:
+        # it may be the whole bake
+        least = part_of(budget, settings, 0.0)
+        if not given:
+            points = max(budget.points // 2, 1)
+            least = replace(least, exit_rays=budget.exit_rays, point_rays=budget.point_rays, points=points)
+        made, found = _try(surfaces, settings, least, pilot, Kept())
+    else:
+        made, found = _try(_where_looked_at(surfaces, settings), settings, first_try(settings, budget), pilot, kept)
     clock.stop()
-    # the hurried bake may be the whole one
-    clock.seconds |= pilot.seconds
-    clock.traced |= pilot.traced
+    if settings.time_budget:
+        clock.seconds |= pilot.seconds
+        clock.traced |= pilot.traced
     took = _took(made, pilot.seconds, pilot.traced)
     judged = [found] if found is not None else []
     places = 0 if surfaces.at_points else len(surfaces.texels)
@@ -64,30 +80,45 @@ def settle(scene: Scene, settings: Settings, clock: Clock, kept: Kept) -> Settle
             made = prepare_with(surfaces, settings, better, clock, kept)
         made.budget = replace(made.budget, exit_rays=budget.exit_rays, point_rays=budget.point_rays)
         return Settled(made, "given" if better == wanted else "time", [])
+    whole = bool(settings.time_budget)
     for _ in range(ROUNDS):
-        wanted = _within(refine(settings, judged, surfaces.at_points), settings, surfaces)
-        if wanted.entries <= made.budget.entries:
+        wanted = _within(refine(settings, judged, surfaces.at_points, whole), settings, surfaces)
+        if whole and wanted.entries <= made.budget.entries:
             break
         better = _in_time(wanted, settings, took, places, clock)
         if better is None:
-            made.budget = replace(made.budget, exit_rays=wanted.exit_rays)
-            return Settled(made, "time", judged)
+            return _out_of_time(made, settings, judged)
         before, traced = dict(clock.seconds), dict(clock.traced)
         kept.drop(*transport_parts(made.budget.entries))
         rays = wanted.exit_rays, wanted.point_rays, wanted.points
         better = replace(better, exit_rays=rays[0], point_rays=rays[1], points=rays[2])
         made, found = _try(surfaces, settings, better, clock, kept, made.test_lamps)
+        whole = True
         clock.stop()
         judged.append(found)
         if better.entries < wanted.entries:
-            return Settled(made, "time", judged)
+            return _out_of_time(made, settings, judged)
         spent = {name: clock.seconds[name] - before.get(name, 0.0) for name in STAGES}
         took = _took(made, spent, {name: clock.traced[name] - traced.get(name, 0) for name in STAGES})
     wanted = refine(settings, judged, surfaces.at_points)
     made.budget = replace(made.budget, exit_rays=wanted.exit_rays)
     last = judged[-1]
-    met = last.error**2 - last.noise**2 <= settings.error_target**2
-    return Settled(made, "error" if met else "most", judged)
+    return Settled(made, "error" if beyond_noise(last) <= settings.error_target else "most", judged)
+
+
+def _out_of_time(made: Prepared, settings: Settings, judged: list[Judged]) -> Settled:
+    """What time is left goes to rays at the exits."""
+    given = {name: value for name in MOST_RAYS if (value := getattr(settings, name)) is not None}
+    made.budget = replace(made.budget, **(MOST_RAYS | given))
+    return Settled(made, "time", judged)
+
+
+def _where_looked_at(surfaces: Surfaces, settings: Settings) -> Surfaces:
+    """The surfaces of a bake that is but judged."""
+    texels = surfaces.texels
+    if len(texels):
+        texels = texels.keep(np.sort(some_blocks(texels, BLOCKS, settings.seed)[0]))
+    return replace(surfaces, texels=texels, hurried=True)
 
 
 def _within(budget: Budget, settings: Settings, surfaces: Surfaces) -> Budget:
@@ -109,13 +140,9 @@ def _try(
     if not made.test_lamps:
         clock.stop()
         return made, None
-    rows = np.arange(len(made.exits) or len(made.vertices))
-    if made.starts is None:
-        # those inside solid things tell nothing
-        rows = rows[~made.is_buried((made.exits if len(made.exits) else made.vertices).samples)]
-    verdict = judge(made, rows, settings.seed, tick=clock.pulse)
+    verdict = judge(made, settings.seed, tick=clock.pulse)
     clock.stop()
-    return made, None if verdict is None else Judged(made.budget, verdict.error, verdict.noise)
+    return made, None if verdict is None else Judged(made.budget, verdict.error, verdict.exits)
 
 
 def _in_time(wanted: Budget, settings: Settings, took: Took, places: int, clock: Clock) -> Budget | None:

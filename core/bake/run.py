@@ -17,14 +17,14 @@ from ..planner import MOST_ENTRIES, Settings, more_points
 from ..rays import CHUNK
 from ..scene import Scene, SceneError
 from ..transfer import Begun
-from .check import compression_error, gather_noise, interpolation_error
+from .check import gather_noise, interpolation_error
 from .clock import Clock, Progress
 from .error_map import encode, error_map
 from .fresh_light import entry_fields
 from .kept import Cancelled, Kept
 from .record import Bake, point_arrays
 from .rounds import settle
-from .steps import Prepared, in_time, transport_parts
+from .steps import Prepared, gather_in_time, transport_parts
 from .stored import Stored, bake_points, spread_to_texels
 from .verdict import Verdict, judge, shown_by_points, shown_by_texels
 
@@ -86,12 +86,9 @@ def _bake(scene, settings, clock, kept):
     made = replace(settled.made)
     kept.drop(*transport_parts(made.budget.entries))
     seed = settings.seed
-    parts = {}
-    if made.test_direct is not None:
-        parts["panes"] = clock.error = made.kept.part(
-            "panes error",
-            lambda: compression_error(made.entries, made.transport, made.modes, made.weights, made.test_direct),
-        )
+    parts = {"panes": 0.0} if made.test_lamps else {}
+    if settled.judged:
+        clock.error = settled.judged[-1].error
     # what follows reads the panes alone, and needs the memory
     made.transport = settled.made.transport = None
     at_points = made.starts is None and settings.exits != "atlas"
@@ -102,6 +99,8 @@ def _bake(scene, settings, clock, kept):
         wanted = len(made.exits)
         made.exits, stored = spread_to_texels(made, settings, clock)
         made.buried = wanted - len(made.exits)
+        # of other rows
+        made.looks = None
         panes, first_hit = _atlas(made, stored.rows, stored.starts, joined(made.exits))
     else:
         stored = None
@@ -109,24 +108,21 @@ def _bake(scene, settings, clock, kept):
 
     clock.start("Check")
     if not at_points:
-        verdict = judge(
-            made, np.arange(len(made.exits)), seed, shown_by_texels(made, panes.rows, panes.starts), clock.pulse
-        )
-    if stored is None:
-        parts["gather noise"] = gather_noise(made, seed) if verdict is None else verdict.noise
-    elif verdict is None:
-        parts["points"] = interpolation_error(made, stored, seed)
+        verdict = judge(made, seed, shown_by_texels(made, panes.rows, panes.starts), tick=clock.pulse)
+    at_exits = "gather noise" if stored is None else "points"
+    if verdict is None:
+        parts[at_exits] = gather_noise(made, seed) if stored is None else interpolation_error(made, stored, seed)
     clock.stop()
     # without live lamps, or where none lights anything
     error, worst = float(np.sqrt(sum(part**2 for part in parts.values()))), None
     if verdict is not None:
         error, worst = verdict.error, verdict.worst
-        if stored is None:
-            # what the noise does not explain: light that texels can have and entries cannot
-            parts["panes"] = float(np.sqrt(max(verdict.shown**2 - parts["gather noise"] ** 2, parts["panes"] ** 2)))
-        else:
-            parts["points"] = float(np.sqrt(max(verdict.shown**2 - parts["panes"] ** 2, 0.0)))
-        parts |= {"entries": verdict.entries, "lamps": verdict.lamps}
+        parts = {
+            "panes": verdict.panes,
+            at_exits: verdict.exits,
+            "entries": verdict.entries,
+            "lamps": verdict.lamps,
+        }
     warnings = made.warnings + (_late(made, settings, clock) or _missed(made, settings, settled.bound, error, parts))
     report = {
         "error": error,
@@ -177,11 +173,11 @@ def _enough_points(made: Prepared, settings: Settings, bound: str, clock: Clock)
         stored = bake_points(made, settings, clock)
         clock.start("Check")
         orphan = (stored.texels if len(made.exits) else stored.vertices).orphan
-        verdict = judge(made, np.flatnonzero(~orphan), settings.seed, shown_by_points(made, stored), clock.pulse)
+        verdict = judge(made, settings.seed, shown_by_points(made, stored), orphan, clock.pulse)
         clock.stop()
         if verdict is None or bound in ("given", "time") or settings.time_budget:
             return stored, verdict
-        better = more_points(settings, made.budget, verdict.error, verdict.shown)
+        better = more_points(settings, made.budget, verdict.error, verdict.exits)
         if better is None:
             return stored, verdict
         made.budget = better
@@ -218,12 +214,13 @@ def _missed(made: Prepared, settings: Settings, bound: str, error: float, parts:
 def _at_texels(made: Prepared, settings: Settings, clock: Clock) -> tuple[Panes, np.ndarray | None]:
     """Panes whose exits are the atlas' texels, and the first hit of sky and faces, (H, W, 3)."""
     exits, starts = made.exits, made.starts
-    in_time(made, settings, clock, "exit_rays", len(exits))
-    rays = made.budget.exit_rays
-    clock.start("Exits", len(exits) * rays)
-    begun = made.kept.part("exits", Begun)
-    clock.skip(rays * len(begun.done) * CHUNK)
-    rows = gather_panes(made.gatherer, exits.samples, starts, made.tables, rays, settings.seed + 41, clock.tick, begun)
+
+    def gather(rays, seed):
+        begun = made.kept.part(f"exits {rays}", Begun)
+        clock.skip(rays * len(begun.done) * CHUNK)
+        return gather_panes(made.gatherer, exits.samples, starts, made.tables, rays, seed, clock.tick, begun)
+
+    rows = gather_in_time(made, settings, clock, "exit_rays", len(exits), gather)
     beside = joined(exits)
     return _atlas(made, smooth_panes(rows, exits, starts, beside), starts, beside)
 

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..caustics import casters
 from ..footprint import balanced, takes_points
 from ..panes.entry_light import EntryLight, EntrySurface
-from ..panes.held_out import held_out_lamps
+from ..panes.held_out import held_out_lamps, representative
 from ..panes.modes import Modes, learn_modes, training_fields
 from ..panes.regions import features, make_regions, nearest, rooms, signature, split_regions, starts_of
+from ..panes.training import NAME as ANYWHERE
 from ..panes.training import illuminate, training_lamps
 from ..panes.weights import PaneWeights, make_weights
-from ..planner import Budget, Settings, limit_rays, needs_panes, plan
+from ..planner import Budget, Settings, needs_panes, plan
 from ..rays import Bvh, Tracer
 from ..scene import Light, Scene
 from ..surface import Patches, SurfaceSamples, Texels, Vertices, cut_patches, make_patches, make_texels, make_vertices
@@ -40,8 +41,14 @@ from .steady import piece_excess, sky_bins, static_caustics, static_light, stead
 PILOTS = 32_768
 """Texels, about, whose rays find the entries where points are the exits."""
 
-KEPT_BACK = 0.85
-"""Part of the time left that is planned for: the check comes last, and machines have other things to do."""
+KEPT_BACK = 0.88
+"""Part of the time left that is planned for: no plan is kept exactly."""
+
+KEPT_FOR_CHECK = 0.9
+"""The same of the rays at exits, after which there is but the check, and what is written."""
+
+FEW_RAYS = 16
+"""Of an exit, by which it is seen how long more of them take."""
 
 FOCUSING = 0.05
 """Part of the time left in which caustics of lamps that are not live are traced, in the hurried bake and in the other."""
@@ -49,10 +56,19 @@ FOCUSING = 0.05
 TICKS = 1000
 """Of the clock, in which they are counted."""
 
+HURRIED_SCOUTS = 3000
+"""In a hurried bake, which is but looked at, of places from which entries are sought (transfer.entries.SCOUTS)."""
+
 GUIDES = 16
 """Training lamps that steer the points' density."""
 
-TEST_LAMPS = 12
+CANDIDATES = 72
+"""Lamps of which TEST_LAMPS are chosen."""
+
+DIM = 0.1
+"""Lamps somewhere in the air that light less than this part of what most of them do are no test: outside, say, or in a crack."""
+
+TEST_LAMPS = 24
 """Held-out lamps that measure the error at the end of a bake; three at a time take red, green and blue."""
 
 
@@ -76,7 +92,7 @@ class Prepared:
     live lamp changes, its bounces (3) and, where sky or faces shine, their first hit (3). guide: (1, ids, c) radiosity
     of a few lamps, None where texels are the exits. test_lamps: held-out ones, of unit power, and test_direct: (n, l) the
     irradiance of each at the entries, seen from all places; none where no lamp is live. kept: parts that were finished
-    before. fields: of the test lamps, all their bounces, and fresh: light gathered anew at the places that were last judged
+    before. fields: of the test lamps, all their bounces, and looks: light gathered anew at the places that are judged
     (`verdict.judge`); both made when first asked for.
     """
 
@@ -104,7 +120,7 @@ class Prepared:
     warnings: list[str]
     kept: Kept
     fields: EntryFields | None = None
-    fresh: dict = field(default_factory=dict)
+    looks: object = None
 
     @property
     def has_steady_light(self) -> bool:
@@ -118,7 +134,7 @@ class Prepared:
 @dataclass(frozen=True)
 class Surfaces:
     """What a bake starts from, whatever its budget. at_points: whether exits are points. focuses: whether anything casts
-    caustics."""
+    caustics. hurried: whether the bake is but looked at, and its texels are those where it is."""
 
     scene: Scene
     texels: Texels
@@ -127,6 +143,7 @@ class Surfaces:
     at_points: bool
     resolution: int
     focuses: bool
+    hurried: bool = False
 
 
 def prepare(scene: Scene, settings: Settings, clock: Clock | None = None, kept: Kept | None = None) -> Prepared:
@@ -183,7 +200,9 @@ def prepare_with(
     # points need not ask of each texel: those that a point serves are not buried
     step = max(-(-len(texels) // PILOTS), 1) if at_points else 1
     pilot = texels.samples.take(slice(None, None, step)).join(vertices.samples)
-    entries, buried, is_buried = find_entries(scene, patches, bvh, pilot, tracer.offset, seed)
+    entries, buried, is_buried = find_entries(
+        scene, patches, bvh, pilot, tracer.offset, seed, HURRIED_SCOUTS if surfaces.hurried else None
+    )
     if buried.all():
         buried[:] = False
         is_buried = _nothing
@@ -221,7 +240,7 @@ def prepare_with(
             f"lamps {budget.entries}",
             lambda: illuminate(lamps, places, PLACES, tracer, seed, lambda n: clock.tick(n, n * len(entries))),
         )
-        test = held_out_lamps(scene, places, gatherer, TEST_LAMPS, seed + 1006) if judges is None else judges
+        test = _judges(scene, entries, gatherer, transport, surface, tracer, seed) if judges is None else judges
         test = [replace(lamp, power=np.ones(3)) for lamp in test[: len(test) // 3 * 3]]
         eyes = EntryLight(surface, tracer, seed, few=PLACES)
         test_direct = np.stack([grey(eyes.unit(lamp)) for lamp in test], 1)
@@ -274,6 +293,23 @@ def prepare_with(
     return made
 
 
+def _judges(scene, entries, gatherer, transport, surface, tracer, seed):
+    """TEST_LAMPS held-out lamps that stand for many."""
+    many = held_out_lamps(scene, entries.places, gatherer, CANDIDATES, seed + 1006)
+    if not many:
+        return many
+    eyes = EntryLight(surface, tracer, seed, few=1)
+    direct = np.stack([grey(eyes.unit(lamp)) for lamp in many], 1)
+    field = transport.arriving(entries.albedo.mean(axis=1, keepdims=True) * direct)
+    area = (entries.area / entries.area.sum()).astype(np.float32)
+    mean = area @ field
+    alike = np.array([lamp.name for lamp in many]) == ANYWHERE
+    # suns are measured in other units
+    kept = np.flatnonzero(~alike | (mean > DIM * np.median(mean[alike]))) if alike.any() else np.arange(len(many))
+    uneven = np.sqrt(area @ field**2) / np.maximum(mean, 1e-30)
+    return representative([many[k] for k in kept], uneven[kept], TEST_LAMPS)
+
+
 def _focused(surfaces: Surfaces, surface: EntrySurface, settings: Settings, clock: Clock) -> np.ndarray:
     """(n, 3) caustics of the lamps that are not live at the entries."""
     clock.start("Caustics", TICKS)
@@ -289,13 +325,27 @@ def _focused(surfaces: Surfaces, surface: EntrySurface, settings: Settings, cloc
     return static_caustics(*given, tell, seconds)
 
 
-def in_time(made: Prepared, settings: Settings, clock: Clock, rays: str, places: int) -> None:
-    """Cut the budget's `rays` (a field of Budget) from so many places to what a time budget leaves for them."""
-    if settings.time_budget:
-        # without live lamps no stage has begun since the transport
-        clock.stop()
-        rate = clock.traced["Transport"] / max(clock.seconds["Transport"], 1e-3)
-        made.budget = limit_rays(made.budget, rays, places, rate, KEPT_BACK * time_left(settings, clock))
+def gather_in_time(
+    made: Prepared, settings: Settings, clock: Clock, field: str, places: int, gather: Callable[[int, int], np.ndarray]
+) -> np.ndarray:
+    """What `gather` returns of rays, a number, and a seed: so many as the budget's `field` says, from so many places, or,
+    where a time budget binds, as there is time for.
+
+    How long they take is seen from a few.
+    """
+    seed, rays = settings.seed + 41, getattr(made.budget, field)
+    clock.start("Exits", places * rays)
+    if not settings.time_budget:
+        return gather(rays, seed)
+    began = clock.spent
+    few = gather(min(FEW_RAYS, rays), seed + 100)
+    each = max(clock.spent - began, 1e-4) / min(FEW_RAYS, rays)
+    more = int(min(rays, KEPT_FOR_CHECK * time_left(settings, clock) / each))
+    if more <= 2 * FEW_RAYS:
+        made.budget = replace(made.budget, **{field: min(FEW_RAYS, rays)})
+        return few
+    made.budget = replace(made.budget, **{field: more})
+    return gather(more, seed)
 
 
 def grey(values: np.ndarray) -> np.ndarray:

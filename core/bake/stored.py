@@ -22,7 +22,7 @@ from ..transfer import Begun
 from ..transfer.entries import PLACES
 from .clock import Clock
 from .kept import digest
-from .steps import Prepared, in_time, own_region
+from .steps import Prepared, gather_in_time, own_region
 
 DENSER = 3
 """Stored points for each gathered one: what they alone lose is then less than what the gathered ones do."""
@@ -118,15 +118,16 @@ def _gather(made, points, carried, places, region, settings, clock):
     key = carried.point.astype(np.int64) * regions + region[:, None]
     names, pair = np.unique(np.where(used, key, key[:, :1]), return_inverse=True)
     point, table = np.divmod(names, regions)
-    in_time(made, settings, clock, "point_rays", len(points))
-    rays = made.budget.point_rays
-    clock.start("Exits", len(points) * rays)
-    # one scene can be given several sets of points
-    begun = made.kept.part(f"exits {digest(points.position, names).hex()}", Begun)
-    clock.skip(rays * len(begun.done) * POINTS)
-    found = gather_gradients(
-        made.gatherer, points.samples, points.radius, made.tables, rays, settings.seed + 41, clock.tick, point, table, begun
-    )  # fmt: skip
+
+    def gather(rays, seed):
+        # one scene can be given several sets of points
+        begun = made.kept.part(f"exits {rays} {digest(points.position, names).hex()}", Begun)
+        clock.skip(rays * len(begun.done) * POINTS)
+        return gather_gradients(
+            made.gatherer, points.samples, points.radius, made.tables, rays, seed, clock.tick, point, table, begun
+        )
+
+    found = gather_in_time(made, settings, clock, "point_rays", len(points), gather)
     pair = pair.reshape(used.shape)
     rows = np.zeros((len(places), made.tables.shape[2]), np.float32)
 

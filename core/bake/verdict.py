@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..panes.entry_light import EntryLight
-from ..panes.exits import gather_panes
-from ..panes.regions import region_of, starts_of
+from ..panes.regions import region_of
+from ..planner import RAYS_FALL
+from ..surface import SurfaceSamples, Texels
 from .fresh_light import entry_fields, even_light, uneven_light
 from .steps import Prepared, grey, own_region
 from .stored import Stored
@@ -22,10 +23,10 @@ from .stored import Stored
 BLOCKS = 256
 """Blocks of 4×4 texels that are looked at, about; single vertices where no object has texels, 16 times as many."""
 
-EVEN_RAYS = 256
+EVEN_RAYS = 64
 """Rays of a texel in each half, for the light of even entries."""
 
-PATHS = 12
+PATHS = 8
 """Paths of a texel in each half, for what entries hide."""
 
 DARK = 1e-6
@@ -42,9 +43,9 @@ class Verdict:
     error: RMSE over RGB divided by the mean, on blocks of 4×4 texels; mean over the lamps, of
     which `each` (l,) has its own. worst: of the blocks' own RMS
     errors the 95th percentile. entries: the part of `error` that comes from light leaving entries evenly. lamps: that of
-    seeing lamps from few places of an entry. shown: all that panes, the gather's noise and points add; noise: that of
-    exits at texels alone. places: (b, 3) float32 m, normals: (b, 3), and squares: (b,) float32, the blocks and the squares
-    of their errors, as far as noise lets know them.
+    seeing lamps from few places of an entry. panes: that of light that no panes hold. exits: that of the gather's noise, and
+    of what lies between points. places: (b, 3) float32 m, normals: (b, 3), and squares: (b,) float32, the blocks and the
+    squares of their errors, as far as noise lets know them.
     """
 
     error: float
@@ -52,44 +53,56 @@ class Verdict:
     worst: float
     entries: float
     lamps: float
-    shown: float
-    noise: float
+    panes: float
+    exits: float
     places: np.ndarray
     normals: np.ndarray
     squares: np.ndarray
 
 
+@dataclass(frozen=True)
+class Looks:
+    """What is known of the places that a bake is judged at, before its exits are. chosen: (n,) rows of `made.exits`, or of
+    `made.vertices`; block: (n,) of each; samples: n. value: (regions, panes, 6 l) weights of the panes' light when few places
+    of an entry see the lamps, and then when all do. halves: of each what even entries shine on the places, (n, l, 3), what
+    panes make of it, (n, 2, l, 3), and what others bring more, (n, l, 3), all float32."""
+
+    chosen: np.ndarray
+    block: np.ndarray
+    samples: SurfaceSamples
+    value: np.ndarray
+    halves: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+
 def judge(
     made: Prepared,
-    rows: np.ndarray,
     seed: int,
     show: Show | None = None,
+    dark: np.ndarray | None = None,
     tick: Callable[[int], None] | None = None,
 ) -> Verdict | None:
-    """The error of what is shown at some of `rows`; None where no held-out lamp lights anything.
+    """The error of what is shown; None where no held-out lamp lights anything.
 
-    show: None for what exits at texels would show, gathered for the places that are looked at alone. tick: called now and
-    then with a number of rays; an exception that it raises passes through.
-
-    rows: of `made.exits`, texels with light of their own; of `made.vertices` where no object has texels.
+    show: None before there are exits: what they would show, had they `budget.exit_rays` rays each. dark: bool of
+    `made.exits`, those without light of their own; of `made.vertices` where no object has texels. tick: called now and then with
+    a number of rays; an exception that it raises passes through.
     """
-    chosen, block = _some(made, rows, seed)
-    if not len(chosen) or not made.test_lamps:
+    if not made.test_lamps:
         return None
-    lamps = len(made.test_lamps)
-    eyes = EntryLight(made.surface, made.tracer, seed)
-    few = np.stack([grey(eyes.unit(lamp)) for lamp in made.test_lamps], 1)
-    value = np.concatenate([_weights(made, few), _weights(made, made.test_direct)], 2)
-    # of exits at texels, two gathers tell the noise
-    gathered = (
-        [_gathered(made, chosen, value, seed + k) for k in (43, 44)] if show is None or made.starts is not None else []
-    )
-    seen = (gathered[0] if show is None else show(chosen, value)).reshape(len(chosen), 2, lamps, 3)
-    level = np.abs(seen[:, 0].mean(axis=(0, 2), dtype=np.float64))
+    if made.looks is None:
+        made.looks = _look(made, seed, tick)
+    looks, lamps = made.looks, len(made.test_lamps)
+    mine = np.arange(len(looks.chosen)) if dark is None else np.flatnonzero(~dark[looks.chosen])
+    if not len(mine):
+        return None
+    chosen, block, some = looks.chosen[mine], looks.block[mine], looks.samples.take(mine)
+    block = np.unique(block, return_inverse=True)[1]
+    halves = [tuple(values[mine] for values in half) for half in looks.halves]
+    seen = None if show is None else show(chosen, looks.value[..., : 3 * lamps]).reshape(len(chosen), lamps, 3)
+    level = np.abs((halves[0][1][:, 0] if seen is None else seen).mean(axis=(0, 2), dtype=np.float64))
     lit = level > DARK * level.max(initial=0)
     if not lit.any():
         return None
-    some = (made.exits if len(made.exits) else made.vertices).samples.take(chosen)
     count = np.bincount(block)
     order = np.argsort(block, kind="stable")
     starts = np.cumsum(count) - count
@@ -108,37 +121,51 @@ def judge(
         """Mean over lamps."""
         return float(each(square).mean())
 
-    found, closely = mean(seen[:, 0]), mean(seen[:, 1])
-    even, more = ([mean(values) for values in halves] for halves in _fresh(made, some, chosen, seed, tick))
-    first, second = (found - e - m for e, m in zip(even, more, strict=True))
-    squares = _quiet((first * second).mean(axis=(1, 2)), (first**2 - second**2).mean(axis=(1, 2)))
+    even, few, closely, more = zip(
+        *((mean(even), mean(panes[:, 0]), mean(panes[:, 1]), mean(more)) for even, panes, more in halves), strict=True
+    )
+    if seen is None:
+        shown, apart = few, 0.5 * (few[0] - few[1]) ** 2 * (EVEN_RAYS / made.budget.exit_rays) ** (2 * RAYS_FALL)
+    else:
+        shown = (mean(seen),) * 2
+        apart = (shown[0] - few[0]) * (shown[1] - few[1])
+    first, second = (s - e - m for s, e, m in zip(shown, even, more, strict=True))
+    total = first * second + (apart if seen is None else 0)
+    squares = _quiet(total.mean(axis=(1, 2)), (first**2 - second**2).mean(axis=(1, 2)))
     at = order[starts]
     return Verdict(
-        error=relative(first * second),
-        each=each(first * second),
+        error=relative(total),
+        each=each(total),
         worst=float(np.sqrt(np.quantile(squares, 0.95))),
         entries=relative(more[0] * more[1]),
-        lamps=relative((found - closely) ** 2),
-        shown=relative((closely - even[0]) * (closely - even[1])),
-        noise=relative(0.5 * mean(_few(gathered[0] - gathered[1], lamps)) ** 2) if gathered else 0.0,
+        lamps=relative((few[0] - closely[0]) * (few[1] - closely[1])),
+        panes=relative((closely[0] - even[0]) * (closely[1] - even[1])),
+        exits=relative(apart),
         places=some.position[at],
         normals=some.flat[at],
         squares=squares.astype(np.float32),
     )
 
 
-def _fresh(made, places, chosen, seed, tick):
-    """Two halves of what even entries shine on places, and two of what others bring more; remembered, for the last trial
-    is the whole bake's beginning."""
-    key = chosen.tobytes(), seed
-    if key not in made.fresh:
-        fields = entry_fields(made)
-        made.fresh.clear()
-        made.fresh[key] = (
-            [even_light(made, places, fields, EVEN_RAYS, seed + salt, tick) for salt in (71, 72)],
-            [uneven_light(made, places, fields, PATHS, seed + salt) for salt in (81, 82)],
-        )
-    return made.fresh[key]
+def _look(made, seed, tick):
+    """Remembered by `judge`, for the last trial is the whole bake's beginning."""
+    places = made.exits if len(made.exits) else made.vertices
+    chosen, block = some_blocks(made.exits, BLOCKS, seed) if len(made.exits) else _some_vertices(len(places))
+    samples = places.samples.take(chosen)
+    if made.starts is None:
+        # those inside solid things tell nothing
+        out = np.flatnonzero(~made.is_buried(samples))
+        chosen, block, samples = chosen[out], block[out], samples.take(out)
+    eyes = EntryLight(made.surface, made.tracer, seed)
+    few = np.stack([grey(eyes.unit(lamp)) for lamp in made.test_lamps], 1)
+    value = np.concatenate([made.weights.of_white(few), made.weights.of_white(made.test_direct)], 1)
+    value = value.reshape(made.modes.regions, made.modes.panes, -1)
+    region, fields, halves = own_region(made, samples), entry_fields(made), []
+    for salt in (71, 72):
+        even, panes = even_light(made, samples, region, value, EVEN_RAYS, seed + salt, tick)
+        more = uneven_light(made, samples, fields, PATHS, seed + salt + 10)
+        halves.append((even, panes.reshape(len(samples), 2, *even.shape[1:]), more))
+    return Looks(chosen, block, samples, value, halves)
 
 
 def shown_by_texels(made: Prepared, rows: np.ndarray, starts: np.ndarray) -> Show:
@@ -154,28 +181,6 @@ def shown_by_points(made: Prepared, stored: Stored) -> Show:
     return lambda chosen, value: served.take(chosen).apply(_blend(made, stored.rows, region, value))
 
 
-def _few(values, lamps):
-    return values.reshape(len(values), 2, lamps, 3)[:, 0]
-
-
-def _gathered(made, chosen, value, seed):
-    """(n, s) float32 of what exits at the chosen places would show."""
-    samples = (made.exits if len(made.exits) else made.vertices).samples.take(chosen)
-    region = own_region(made, samples)
-    order = np.argsort(region, kind="stable")
-    starts = starts_of(region[order], made.modes.regions)
-    rows = gather_panes(made.gatherer, samples.take(order), starts, made.tables, made.budget.exit_rays, seed)
-    found = np.empty((len(chosen), value.shape[2]), np.float32)
-    found[order] = _blend(made, rows, region[order], value)
-    return found
-
-
-def _weights(made, direct):
-    """(regions, panes, 3 l) float32 pane weights of white lamps with irradiance (n, l)."""
-    found = [made.weights.of(np.repeat(direct[:, k : k + 1], 3, axis=1)) for k in range(direct.shape[1])]
-    return np.concatenate(found, 1).reshape(made.modes.regions, made.modes.panes, -1)
-
-
 def _blend(made, rows, region, value):
     """(n, s) float32 of rows (n, c) in the panes of regions (n,)."""
     result = np.empty((len(rows), value.shape[2]), np.float32)
@@ -185,21 +190,23 @@ def _blend(made, rows, region, value):
     return result
 
 
-def _some(made, rows, seed):
-    """(n,) of `rows` that make up some blocks, and (n,) the block of each; spread evenly over the atlas."""
-    if not len(made.exits):
-        chosen = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), 16 * BLOCKS)).astype(np.int64))
-        return rows[chosen], np.arange(len(chosen))
-    size, index = made.exits.resolution, made.exits.index[rows]
+def some_blocks(texels: Texels, blocks: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) of the texels, that make up some blocks of 4×4, and (n,) the block of each; spread evenly over the atlas."""
+    size, index = texels.resolution, texels.index
     names, block = np.unique(index // size // 4 * size + index % size // 4, return_inverse=True)
-    many = min(BLOCKS, len(names))
+    many = min(blocks, len(names))
     start = np.random.default_rng(seed).random()
     number = np.full(len(names), -1)
     number[((np.arange(many) + start) * len(names) / many).astype(np.int64)] = np.arange(many)
     own = number[block]
     order = np.argsort(own, kind="stable")
     order = order[own[order] >= 0]
-    return rows[order], own[order]
+    return order, own[order]
+
+
+def _some_vertices(count):
+    chosen = np.unique(np.linspace(0, count - 1, min(count, 16 * BLOCKS)).astype(np.int64))
+    return chosen, np.arange(len(chosen))
 
 
 def _quiet(squares: np.ndarray, noise: np.ndarray) -> np.ndarray:

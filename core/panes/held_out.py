@@ -1,7 +1,9 @@
 """Lamps that a bake is judged by, none of which it was trained on.
 
 What users do with a bake is move their lamps: half of the judges are the scene's own live lamps, moved about; the others
-are point lamps anywhere in the air. None of them is closer to a surface than CLEAR.
+are point lamps anywhere in the air. None of them is closer to a surface than CLEAR. A few lamps in nooks err many times as
+much as all others, so judges are not drawn by chance: of many lamps, sorted by how unevenly they light the scene, they are
+every so many-th one.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from ..sampling import frame, hash_uniform
 from ..scene import Light, Scene
 from ..surface import SurfaceSamples
 from ..transfer import Gatherer
+from .training import NAME as ANYWHERE
 from .training import free_air, point_lamps, room_around
 
 CLEAR = 0.03
@@ -51,6 +54,21 @@ def held_out_lamps(scene: Scene, points: SurfaceSamples, gatherer: Gatherer, cou
     pairs = [lamp for pair in zip(own, anywhere, strict=False) for lamp in pair]
     least = min(len(own), len(anywhere))
     return pairs + own[least:] + anywhere[least:]
+
+
+def representative(lamps: list[Light], uneven: np.ndarray, count: int) -> list[Light]:
+    """`count` of many lamps, as from `held_out_lamps`: of the scene's own and of the others the middle ones of as many parts,
+    sorted by `uneven` (l,). They stay in turns."""
+    own = [k for k, lamp in enumerate(lamps) if lamp.name != ANYWHERE]
+    others = [k for k, lamp in enumerate(lamps) if lamp.name == ANYWHERE]
+    many = min(count // 2, len(own)) if others else min(count, len(own))
+    chosen = []
+    for group, part in ((own, many), (others, min(count - many, len(others)))):
+        middle = ((np.arange(part) + 0.5) * len(group) / max(part, 1)).astype(np.int64)
+        chosen.append([group[k] for k in np.argsort(uneven[group], kind="stable")[middle]])
+    pairs = [k for pair in zip(*chosen, strict=False) for k in pair]
+    least = min(map(len, chosen))
+    return [lamps[k] for k in (*pairs, *chosen[0][least:], *chosen[1][least:])]
 
 
 def _moved(light: Light, scene: Scene, points: SurfaceSamples, gatherer: Gatherer, number: int, seed: int) -> Light:

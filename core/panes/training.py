@@ -18,6 +18,9 @@ from ..surface import SurfaceSamples
 from ..threads import in_threads
 from ..transfer import Gatherer
 
+NAME = "training"
+"""Of lamps that are none of the scene's."""
+
 NEAR = (0.005, 0.045)
 """Least and most distance of near lamps from the surface below, in parts of the scene's extent."""
 
@@ -62,7 +65,7 @@ def point_lamps(places: np.ndarray) -> list[Light]:
     for place in places:
         matrix = np.eye(4)
         matrix[:3, 3] = place
-        lamps.append(Light("training", "POINT", matrix, np.ones(3)))
+        lamps.append(Light(NAME, "POINT", matrix, np.ones(3)))
     return lamps
 
 
@@ -82,7 +85,7 @@ def sun_lamps(scene: Scene, points: SurfaceSamples, bvh: Bvh, count: int, seed: 
     for axis, side, up in zip(toward, *frame(toward), strict=True):
         matrix = np.eye(4)
         matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = side, up, axis
-        lamps.append(Light("training", "SUN", matrix, np.ones(3)))
+        lamps.append(Light(NAME, "SUN", matrix, np.ones(3)))
     return lamps
 
 

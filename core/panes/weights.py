@@ -51,6 +51,30 @@ class PaneWeights:
         """(m, 3) float32 weights for the entries' direct irradiance (n, 3) float32, W/m²."""
         return self._gather(self.radiosity(direct))
 
+    def of_white(self, direct: np.ndarray) -> np.ndarray:
+        """(m, 3 l) float32 weights, a lamp's red, green and blue side by side, of l white lamps with irradiance (n, l)."""
+        light = self.radiosity_of_white(direct)
+        return self.first @ light
+
+    def radiosity_of_white(self, direct: np.ndarray) -> np.ndarray:
+        """(n, 3 l) float32 as by `radiosity`, of l white lamps with irradiance (n, l)."""
+        albedo = np.tile(self.albedo, (1, direct.shape[1]))
+        direct = np.repeat(direct, 3, axis=1)
+        once = self.first @ (albedo * direct)
+        again = np.empty((self.spread.shape[1], once.shape[1]), np.float32)
+        for c in range(3):
+            again[:, c::3] = self.later[c] @ once[:, c::3]
+        guess = (once + self.spread @ again).reshape(-1, self.field.shape[1], once.shape[1])
+        return albedo * (direct + self._seen(guess))
+
+    def _seen(self, values):
+        """(n, s) irradiance of the entries for values (regions, panes, s)."""
+        found = np.empty((len(self.region), values.shape[2]), np.float32)
+        for r, own in enumerate(values):
+            rows = np.flatnonzero(self.region == r)
+            found[rows] = self.field[rows] @ own
+        return found
+
     def of_and_sketch(self, direct: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """The weights, and sketches (2, SKETCH, 3) of the field that the modes do not hold and of the radiosity, both linear
         in the light: the root of the sum of a sketch's squares is about the RMS over the area, W/m² (Johnson &

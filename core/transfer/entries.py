@@ -82,13 +82,21 @@ def _places(scene: Scene, patches: Patches, patch: np.ndarray, back: np.ndarray,
 
 
 def find_entries(
-    scene: Scene, patches: Patches, bvh: Bvh, exits: SurfaceSamples, offset: float, seed: int = 0
+    scene: Scene,
+    patches: Patches,
+    bvh: Bvh,
+    exits: SurfaceSamples,
+    offset: float,
+    seed: int = 0,
+    scouts: int | None = None,
 ) -> tuple[Entries, np.ndarray, Callable[[SurfaceSamples], np.ndarray]]:
     """Entries reached by light paths that end at `exits`, (exits,) bool: those buried inside other things, and what
     tells the same of any other places.
 
     A place is buried when it sees back sides that the flood of light does not reach. Fronts do not count: a sealed
     room without a lamp is no solid thing, one may be put there later.
+
+    scouts: as SCOUTS, which None stands for.
     """
     count = len(patches)
     dark = flood(scene, patches, bvh, offset, seed) == 0
@@ -128,7 +136,7 @@ def find_entries(
         sides = np.flatnonzero(fresh)
         if not len(sides):
             break
-        chosen = np.tile(sides, max(1, SCOUTS // len(sides)))
+        chosen = np.tile(sides, max(1, (scouts or SCOUTS) // len(sides)))
         points = _places(scene, patches, chosen // 2, chosen % 2 == 1, seed + 11 + step)
         total = total + pilot(points, 200 + step)[0]
         now = _significant(total, patches)

@@ -64,7 +64,7 @@ def _bake(name: str, made: dict, **settings) -> tuple[Bake, float]:
     key = name, tuple(settings.items())
     if key not in made:
         scene = judged.open_scene(name)
-        result = bake(scene, Settings(resolution=judged.RESOLUTION, **settings))
+        result = bake(scene, Settings(resolution=judged.resolution(name), **settings))
         made[key] = result, metrics.mean_error(judged.judge(scene, result, judged.truths(name, scene)))
     return made[key]
 

@@ -29,6 +29,9 @@ from mathutils import Matrix, Vector
 from . import cycles, scenes
 
 RESOLUTION = 128
+FINER = {"atrium": 512}
+"""Texels a side of scenes whose charts need more."""
+
 LAMPS = 6
 SPP = 128
 SEED = 9000
@@ -42,6 +45,11 @@ class Truth:
     reference: cycles.Reference
 
 
+def resolution(name: str) -> int:
+    """Texels a side of a scene's atlas."""
+    return FINER.get(name, RESOLUTION)
+
+
 def open_scene(name: str) -> Scene:
     """Open a sample or build one of BUILT, without sky and glow, whose light never changes; with an atlas, extracted."""
     lightpanes.register()
@@ -52,8 +60,8 @@ def open_scene(name: str) -> Scene:
         bpy.ops.wm.open_mainfile(filepath=str(scenes.FOLDER / f"{name}.blend"))
     context = bpy.context
     context.scene.world = None
-    make_atlas(context, [item for item in context.scene.objects if item.type == "MESH"], RESOLUTION)
-    return extract(context, resolution=RESOLUTION)
+    make_atlas(context, [item for item in context.scene.objects if item.type == "MESH"], resolution(name))
+    return extract(context, resolution=resolution(name))
 
 
 def truths(name: str, scene: Scene) -> list[Truth]:
@@ -74,7 +82,7 @@ def truths(name: str, scene: Scene) -> list[Truth]:
         judge.hide_render, item.hide_render = True, False
         bpy.context.view_layer.update()
         lights = lamps.read_lights(bpy.context.evaluated_depsgraph_get(), [])
-        found.append(Truth(lights, cycles.reference_indirect(bpy.context, RESOLUTION, SPP, script=script)))
+        found.append(Truth(lights, cycles.reference_indirect(bpy.context, resolution(name), SPP, script=script)))
         item.hide_render = True
     return found
 

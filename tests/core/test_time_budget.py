@@ -67,17 +67,23 @@ def test_a_bake_keeps_to_its_time(on, rate, exits):
     assert any("time budget of 0.01 s is too short" in line for line in least["warnings"]) == (took > 1.01)
     found = []
     for times in (1.2, 2.5, 5):
-        report, used = on(rate, times * took, exits=exits)
+        report, used = on(rate, times * took, exits=exits, error_target=0.01)
         assert used <= 1.1 * times * took
         assert not [line for line in report["warnings"] if "time budget" in line]
         found.append(report["budget"]["entries"])
     assert found == sorted(found) and found[-1] > found[0]
 
 
-def test_with_time_to_spare_a_bake_is_what_it_is_without_a_budget(on):
+def test_with_time_to_spare_the_error_binds(on):
     report, used = on(3e6, 1000)
-    assert report["budget"] == bake(room(lights=[lamp((1, 1, 2))]), ASKED).report["budget"]
+    assert report["bound"] == "error" and report["error"] < 1.1 * ASKED.error_target
     assert used < 100
+
+
+def test_time_that_binds_is_used(on):
+    """What no larger bake fits into goes to rays."""
+    report, used = on(3e5, 12.0, error_target=0.01)
+    assert report["bound"] == "time" and 9.6 < used <= 13
 
 
 def test_time_spent_on_reading_the_scene_counts(on):

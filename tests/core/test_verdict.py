@@ -4,15 +4,28 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lightpanes.core.bake import bake, error_map, verdict
+from lightpanes.core.bake import bake, error_map, fresh_light, verdict
 from lightpanes.core.bake.clock import Clock
 from lightpanes.core.bake.fresh_light import entry_fields, even_light, uneven_light
 from lightpanes.core.bake.kept import Kept
 from lightpanes.core.bake.rounds import settle
 from lightpanes.core.bake.steps import prepare
+from lightpanes.core.panes.exits import gather_panes
 from lightpanes.core.panes.held_out import CLEAR, REACH, held_out_lamps
+from lightpanes.core.panes.regions import region_of
 from lightpanes.core.panes.training import room_around
-from lightpanes.core.planner import MOST_ENTRIES, Judged, Settings, more_points, plan, refine, sized
+from lightpanes.core.planner import (
+    FALL,
+    MOST_ENTRIES,
+    RAYS_FALL,
+    Judged,
+    Settings,
+    first_try,
+    more_points,
+    plan,
+    refine,
+    sized,
+)
 from lightpanes.core.threads import use_threads
 from lightpanes.tests.frugal import save_rays
 
@@ -37,18 +50,22 @@ def made(exact):
 @pytest.fixture(scope="module")
 def truth(made):
     """Light gathered anew with many rays, by other random numbers than the judge's."""
-    fields = entry_fields(made)
     places = made.exits.samples
-    return even_light(made, places, fields, 2048, 900) + uneven_light(made, places, fields, 64, 901)
+    even, _ = even_light(made, places, region_of(made.starts), no_panes(made), 2048, 900)
+    return even + uneven_light(made, places, entry_fields(made), 64, 901)
+
+
+def no_panes(made):
+    return np.zeros((made.modes.regions, made.modes.panes, 1), np.float32)
 
 
 def judged(made, show):
-    return verdict.judge(made, np.arange(len(made.exits)), 0, show)
+    return verdict.judge(made, 0, show)
 
 
 def shows(light):
-    """What shows (t, l, 3) at all texels, whether few or all places of entries see the lamps."""
-    return lambda chosen, value: np.tile(light[chosen].reshape(len(chosen), -1), 2)
+    """What shows (t, l, 3) at all texels."""
+    return lambda chosen, value: light[chosen].reshape(len(chosen), -1)
 
 
 def test_held_out_lamps_stand_in_the_air_and_half_are_the_scenes_own(made):
@@ -70,9 +87,39 @@ def test_held_out_lamps_stand_in_the_air_and_half_are_the_scenes_own(made):
     assert all(np.array_equal(a.matrix, b.matrix) for a, b in zip(found, again, strict=True))
 
 
+def test_fresh_light_is_what_a_plain_gather_brings(made):
+    """Of the entries' light, all whose bounces are solved for without panes, and of the panes, by the same rays."""
+    places, lamps = made.exits.samples, len(made.test_lamps)
+    value = made.weights.of_white(made.test_direct).reshape(made.modes.regions, made.modes.panes, -1)
+    even, panes = even_light(made, places, region_of(made.starts), value, 48, 5)
+    albedo = np.tile(made.entries.albedo, (1, lamps))
+    solved = made.transport.solve(albedo, albedo * np.repeat(made.test_direct, 3, axis=1), 1e-5)
+    table = np.zeros((1, made.gatherer.size, solved.shape[1]), np.float32)
+    table[0, : len(solved)] = solved
+    plain = gather_panes(made.gatherer, places, np.array([0, len(places)]), table, 48, 5)
+    level = plain.mean(axis=0).max()
+    assert np.abs(even.reshape(plain.shape) - plain).max() < 0.03 * plain.max()
+    assert np.abs(even.reshape(plain.shape) - plain).mean() < 2e-3 * level
+    rows = gather_panes(made.gatherer, places, made.starts, made.tables, 48, 5)[:, : made.modes.panes]
+    asked = np.einsum("tk,tks->ts", rows, value[region_of(made.starts)])
+    assert np.allclose(panes, asked, atol=1e-4 * np.abs(asked).max())
+
+
+def test_far_entries_may_shine_evenly(made, monkeypatch):
+    """Their unevenness is noise to whoever looks from afar."""
+    places, fields = made.exits.samples.take(np.arange(0, len(made.exits), 8)), entry_fields(made)
+    near = uneven_light(made, places, fields, 512, 3)
+    monkeypatch.setattr(fresh_light, "NEAR", np.inf)
+    whole = uneven_light(made, places, fields, 512, 3)
+    mean = made.fields.arriving.mean(axis=(0, 2))
+    lit = mean > 1e-6 * mean.max()
+    apart = (whole - near).mean(axis=0)[lit] / mean[lit, None]
+    assert np.abs(apart).max() < 0.01
+
+
 def test_what_is_right_is_found_right(made, truth):
     found = judged(made, shows(truth))
-    assert found.error < 0.012 and found.lamps == 0
+    assert found.error < 0.012
 
 
 @pytest.mark.parametrize("part", [0.03, 0.2])
@@ -90,24 +137,30 @@ def test_an_error_is_found_as_large_as_it_is(made, truth, part):
     assert found.worst > 1.4 * found.error
 
 
-def test_parts_tell_where_an_error_is(made, truth):
-    base = verdict.judge(made, np.arange(len(made.exits)), 0)
-    coarse = replace(made, budget=replace(made.budget, exit_rays=16))
-    noisy = verdict.judge(coarse, np.arange(len(made.exits)), 0)
-    assert noisy.noise > 2 * base.noise and noisy.error > base.error
-    assert noisy.entries == pytest.approx(base.entries, rel=1e-2)
+def test_parts_tell_where_an_error_is(made):
+    base = verdict.judge(made, 0)
+    coarse = replace(made, budget=replace(made.budget, exit_rays=made.budget.exit_rays // 4))
+    noisy = verdict.judge(coarse, 0)
+    assert noisy.exits == pytest.approx(4**RAYS_FALL * base.exits, rel=1e-6) and noisy.error > base.error
+    assert (noisy.entries, noisy.panes, noisy.lamps) == (base.entries, base.panes, base.lamps)
+
+
+def test_the_noise_of_exits_is_known_before_they_are(made):
+    """By what a gather of as many rays then has."""
+    rays = verdict.EVEN_RAYS
+    rows = gather_panes(made.gatherer, made.exits.samples, made.starts, made.tables, rays, 41)
+    found = judged(made, verdict.shown_by_texels(made, rows, made.starts))
+    foreseen = verdict.judge(replace(made, budget=replace(made.budget, exit_rays=rays)), 0)
+    assert foreseen.exits == pytest.approx(found.exits, rel=0.4)
 
 
 def test_a_verdict_does_not_depend_on_threads(made):
-    # or it would remember
-    made.fresh.clear()
     try:
         use_threads(1)
-        alone = verdict.judge(made, np.arange(len(made.exits)), 0)
+        alone = verdict.judge(replace(made, looks=None), 0)
     finally:
         use_threads(0)
-    made.fresh.clear()
-    both = verdict.judge(made, np.arange(len(made.exits)), 0)
+    both = verdict.judge(replace(made, looks=None), 0)
     assert alone.error == both.error and np.array_equal(alone.squares, both.squares)
 
 
@@ -140,10 +193,17 @@ def test_a_bake_reports_its_error():
 
 def scene_whose_error_falls(power, at_600, noise_192):
     def look(budget):
-        noise = noise_192 * (192 / budget.exit_rays) ** 0.5
+        noise = noise_192 * (192 / budget.exit_rays) ** RAYS_FALL
         return Judged(budget, ((at_600 * (600 / budget.entries) ** power) ** 2 + noise**2) ** 0.5, noise)
 
     return look
+
+
+def test_one_small_bake_tells_what_a_target_takes():
+    """Where the error falls as it usually does."""
+    look, settings = scene_whose_error_falls(FALL, 0.12, 0.01), Settings(error_target=0.05)
+    budget = refine(settings, [look(first_try(settings, plan(room(), settings)))], False)
+    assert 0.8 * 0.05 < look(budget).error <= 0.05
 
 
 @pytest.mark.parametrize("power", [0.4, 0.6, 0.9])
@@ -177,12 +237,12 @@ def test_points_are_added_where_they_are_what_is_wrong():
 
 def test_a_small_target_takes_more_rounds():
     scene, found = room(lights=[lamp((3, 1.5, 2))]), []
-    for target in (0.3, 0.035):
+    for target in (0.3, 0.05):
         settings = Settings(error_target=target, resolution=48)
         settled = settle(scene, settings, Clock(), Kept())
         assert settled.bound == "error"
         found.append(settled)
     coarse, fine = found
-    assert len(coarse.judged) == 1 and len(fine.judged) >= 1
+    assert len(coarse.judged) == 2 and len(fine.judged) >= 2
     assert fine.judged[-1].error <= coarse.judged[-1].error
     assert fine.made.budget.exit_rays > coarse.made.budget.exit_rays
