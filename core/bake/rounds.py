@@ -26,7 +26,7 @@ STAGES = ("Entries", "Transport", "Lamps", "Panes", "Check")
 @dataclass(frozen=True)
 class Settled:
     """made: ready for its exits. bound: what ended the trials: "error", its target is met; "time", a better bake would not
-    have fitted; "most", a better one would be too large; "given", the budgets were set by hand or nothing can be judged.
+    have fitted; "memory", nor into that; "most", a better one would be too large; "given", the budgets were set by hand or nothing can be judged.
     judged: the trials."""
 
     made: Prepared
@@ -87,7 +87,8 @@ def settle(scene: Scene, settings: Settings, clock: Clock, kept: Kept) -> Settle
     made.budget = replace(made.budget, exit_rays=wanted.exit_rays)
     last = judged[-1]
     met = last.error**2 - last.noise**2 <= settings.error_target**2
-    return Settled(made, "error" if met else "most", judged)
+    tight = _within(wanted, settings, surfaces).entries < wanted.entries
+    return Settled(made, "error" if met else "memory" if tight else "most", judged)
 
 
 def _within(budget: Budget, settings: Settings, surfaces: Surfaces) -> Budget:
