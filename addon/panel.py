@@ -40,7 +40,7 @@ ERROR_PARTS = {
     "entries": "Entries",
     "lamps": "Lamp Sampling",
 }
-BOUNDS = {"error": "Error", "time": "Time", "most": "Size"}
+BOUNDS = {"error": "Error", "time": "Time", "memory": "Memory", "most": "Size"}
 
 
 class _Panel:

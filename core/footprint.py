@@ -83,14 +83,15 @@ def takes_points(settings: Settings, budget: Budget, triangles: int, texels: int
     """Whether exits are points: where they are cheaper, and where a row for each texel does not fit."""
     if uses_points(settings, budget, texels, vertices):
         return True
-    return settings.exits == "auto" and footprint(budget, settings, triangles, False).whole > settings.memory * GIB
+    least = within(budget, settings, triangles, False)
+    return settings.exits == "auto" and footprint(least, settings, triangles, False).whole > settings.memory * GIB
 
 
 def within(budget: Budget, settings: Settings, triangles: int, at_points: bool) -> Budget:
-    """The budget with as many entries, regions and training lamps of it as fit; those that the settings give stay."""
+    """The budget with as many entries, regions, training lamps and points of it as fit; those that the settings give stay."""
     smaller = budget
     for part in np.geomspace(1, 0.02, 60):
-        scaled = {"entries": part, "lamps": part**0.7, "regions": part}
+        scaled = {"entries": part, "lamps": part**0.7, "regions": part, "points": part**0.5}
         cut = {
             name: max(round(getattr(budget, name) * scale), min(LEAST[name], getattr(budget, name)))
             for name, scale in scaled.items()

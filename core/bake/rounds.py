@@ -39,7 +39,7 @@ STAGES = ("Entries", "Transport", "Lamps", "Panes", "Check")
 @dataclass(frozen=True)
 class Settled:
     """made: ready for its exits. bound: what ended the trials: "error", its target is met; "time", a better bake would not
-    have fitted; "most", a better one would be too large; "given", the budgets were set by hand or nothing can be judged.
+    have fitted; "memory", nor into that; "most", a better one would be too large; "given", the budgets were set by hand or nothing can be judged.
     judged: the trials."""
 
     made: Prepared
@@ -65,7 +65,8 @@ def settle(scene: Scene, settings: Settings, clock: Clock, kept: Kept) -> Settle
             least = replace(least, exit_rays=budget.exit_rays, point_rays=budget.point_rays, points=points)
         made, found = _try(surfaces, settings, least, pilot, Kept())
     else:
-        made, found = _try(_where_looked_at(surfaces, settings), settings, first_try(settings, budget), pilot, kept)
+        small = _within(first_try(settings, budget), settings, surfaces)
+        made, found = _try(_where_looked_at(surfaces, settings), settings, small, pilot, kept)
     clock.stop()
     if settings.time_budget:
         clock.seconds |= pilot.seconds
@@ -103,7 +104,9 @@ def settle(scene: Scene, settings: Settings, clock: Clock, kept: Kept) -> Settle
     wanted = refine(settings, judged, surfaces.at_points)
     made.budget = replace(made.budget, exit_rays=wanted.exit_rays)
     last = judged[-1]
-    return Settled(made, "error" if beyond_noise(last) <= settings.error_target else "most", judged)
+    met = beyond_noise(last) <= settings.error_target
+    tight = _within(wanted, settings, surfaces).entries < wanted.entries
+    return Settled(made, "error" if met else "memory" if tight else "most", judged)
 
 
 def _out_of_time(made: Prepared, settings: Settings, judged: list[Judged]) -> Settled:

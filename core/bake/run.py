@@ -201,6 +201,8 @@ def _missed(made: Prepared, settings: Settings, bound: str, error: float, parts:
         remedy = "allow more Time"
     elif worst == "points" and not len(made.vertices):
         remedy = "set Light At to Texels"
+    elif bound == "memory":
+        remedy = "allow more Memory"
     elif bound == "most" and made.budget.entries >= MOST_ENTRIES:
         remedy = "larger bakes are not made; keep lamps away from surfaces"
     else:

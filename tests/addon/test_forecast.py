@@ -4,8 +4,9 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from lightpanes.addon import forecast, preflight, store  # noqa: E402
+from lightpanes.addon import baking, forecast, preflight, store  # noqa: E402
 from lightpanes.core.planner import Budget  # noqa: E402
+from lightpanes.core.scene import SceneError  # noqa: E402
 
 from .mending import bakes  # noqa: E402
 
@@ -56,6 +57,18 @@ def test_a_second_go_at_a_bake_says_nothing_without_the_first(room, quick):
     assert said() == pytest.approx(2 * once)
     meta["report"] = {}
     assert said() == pytest.approx(once)
+
+
+def test_what_does_not_fit_into_the_memory_is_said_before_a_bake(room):
+    room.lightpanes.resolution, room.lightpanes.memory_budget = 4096, 0.5
+    found = preflight.examine(bpy.context)
+    sentence = "raise Memory to 2.7 GiB, or lower Resolution to 1024."
+    [told] = [each for each in found.obstacles if each.kind == "MEMORY"]
+    assert told.sentence.endswith(sentence) and told.severity == "ERROR"
+    with pytest.raises(SceneError, match=r"2\.7 GiB"):
+        baking.bake_scene(bpy.context)
+    room.lightpanes.memory_budget = 2.7
+    assert not any(each.kind == "MEMORY" for each in preflight.examine(bpy.context).obstacles)
 
 
 def test_subdivision_counts(room):

@@ -12,7 +12,7 @@ import pytest
 from lightpanes.core.bake import bake
 from lightpanes.core.footprint import balanced, footprint, takes_points, within
 from lightpanes.core.memory import GIB, allowing, most_threads, slices
-from lightpanes.core.planner import Settings, plan
+from lightpanes.core.planner import Budget, Settings, plan
 from lightpanes.core.scene import SceneError
 
 from .shapes import lamp, quick, room
@@ -88,6 +88,16 @@ def test_budgets_and_forms_that_fit():
     wide = Settings(resolution=4096, exit_rays=1)
     assert takes_points(wide, plan(made, wide), 100, 4096**2, 0)
     assert not takes_points(replace(wide, memory=64.0), plan(made, wide), 100, 4096**2, 0)
+
+
+@pytest.mark.usefixtures("frugal")
+def test_memory_ends_the_trials():
+    made = room(lights=[lamp(PLACE)])
+    given = {"resolution": 48, "exit_rays": 16, "entry_rays": 256, "panes": 24, "error_target": 0.001}
+    report = bake(made, Settings(**given, memory=0.25)).report
+    assert report["bound"] == "memory" and report["error"] > 0.001
+    settings = Settings(**given, memory=0.25)
+    assert footprint(Budget(**report["budget"]), settings, len(made.triangles), False).whole <= 0.25 * GIB
 
 
 @pytest.mark.parametrize(
