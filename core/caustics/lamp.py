@@ -44,7 +44,6 @@ PART = 200_000
 LEAST_GRIDS = 0.5
 """Part of the photons that the coarsest grids of all points and objects may take together: the rest refines."""
 
-
 ROUND_UP = 0.35
 """Part of a level beyond which the first grids of a soft lamp's parts are one level finer; too fine ones leave too little to
 refine the weaker families."""
