@@ -44,6 +44,9 @@ PART = 200_000
 LEAST_GRIDS = 0.5
 """Part of the photons that the coarsest grids of all points and objects may take together: the rest refines."""
 
+ROUND_UP = 0.35
+"""Part of a level beyond which the first grids of a soft lamp's parts are one level finer; too fine ones leave too little to
+refine the weaker families."""
 
 GRAZING = 0.4
 """What a photon of an outer reflection counts for where it just missed the object, in the choice of what to refine."""
@@ -216,7 +219,8 @@ class LampCaustics:
         # what is not refracted straight through is weaker and wider: a quarter of the photons do
         coarser = (self._family > 0).astype(np.int64)
         each = photons / (0.25**coarser).sum()
-        level = int(np.clip(np.round(np.log2(max(np.sqrt(each) - 1, 1) / 2)), 2, 7))
+        up = 0.5 if self._cells is None else ROUND_UP
+        level = int(np.clip(np.floor(np.log2(max(np.sqrt(each) - 1, 1) / 2) + up), 2, 7))
         # many objects share what there is: grids as coarse as that leaves to refine
         room = LEAST_GRIDS * self.photons
         least = next((k for k in (2, 1) if _grid(k) * len(self._trees) <= room), 0)

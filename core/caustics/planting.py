@@ -21,12 +21,15 @@ PER_POINT = 2_500
 MOST = 256
 """The most of those."""
 
-WIDTHS = 0.05, 0.1
-"""Of a lamp, in parts of how far the object is, from which it is cut into more parts, where points aim alike: 2 × 2 will do
-for a small one, 3 × 3 for a larger one, then 4 × 4."""
+WIDE = 0.1
+"""Size of a lamp, in parts of how far the object is, from which it is cut into 4 × 4 parts, where points aim alike; 3 × 3
+will do for smaller ones."""
 
 EACH = 40_000
 """Photons for which they do; with more photons there are more parts, as the root of them."""
+
+PER_CELL = 2_500
+"""The fewest photons of a part."""
 
 WEAK_CELLS = 4
 """Parts of a lamp for weaker families."""
@@ -63,8 +66,8 @@ def plant(surfaces: Surfaces, light: Light, points: int, photons: int, seed: int
     parts, soft = None, False
     if points >= WEAK_CELLS:
         widest = max(width(light, bounds) for bounds in objects.values())
-        side = 2 + sum(widest > known for known in WIDTHS)
-        parts = _cells(light, min(points, side**2 * max(np.sqrt(photons / EACH), 1)))
+        count = (16 if widest > WIDE else 9) * max(np.sqrt(photons / EACH), 1)
+        parts = _cells(light, min(points, count, photons / PER_CELL))
     for caster, bounds in objects.items():
         alike = aimed(light, bounds, parts.point, surfaces.extent) if parts else None
         group = trees[-1].group + 1 if trees else 0

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from ..rays import Bvh, chunks
 from ..scene import Scene
 from ..surface import make_texels
 from ..threads import in_threads
+from .blur import REACH
 from .groups import charts
 from .splat import box_samples
 
@@ -57,6 +60,21 @@ class Receivers:
         self.inner = self._owner > 0
         for near in _neighbours(self._owner, resolution):
             self.inner &= near == self._owner
+
+    @cached_property
+    def depth(self) -> np.ndarray:
+        """(resolution²,) uint8: texels to either side, in every direction, that all belong to the same chart as each."""
+        size, reach = self.resolution, int(REACH[-1])
+        owner = np.pad(self._owner.reshape(size, size), 1)
+        depth, alike = np.zeros((size, size), np.uint8), self._owner.reshape(size, size) > 0
+        for step in range(1, reach + 1):
+            near = np.pad(alike, 1)
+            alike = alike.copy()
+            for dy, dx in np.ndindex(3, 3):
+                part = slice(dy, dy + size), slice(dx, dx + size)
+                alike &= near[part] & (owner[part] == owner[1:-1, 1:-1])
+            depth[alike] = step
+        return depth.reshape(-1)
 
     def place(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(2, n) float32 place in the atlas, in texels, of barycentric places on triangles; 0 where there is none."""

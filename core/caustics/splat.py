@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 
 from ..sampling import GOLDEN, hash_uint32
+from .blur import REACH, WIDTHS, blurred, softened
 
 SAMPLES = 6.0
 """Sub-samples for each texel of the atlas, about, that all patches together get on top of the fewest that they need."""
@@ -151,54 +152,76 @@ def splat(
     patches, row, steps, lengths = divided(patches, lead)
     home, chart, rough = home[row].T, chart[row], rough[row]
     power = patches[4, :, lead:].mean(axis=1)
+    level, wider = np.zeros(patches.shape[1], np.int64), 0.0
     if soft is not None:
         cell, offset = soft[0][row], soft[1]
-        # of the middle's places for all of the cell, along x and y
-        spread = (offset**2).mean(axis=1)[cell].T
-        disk = spread[0] * patches[4, :, 2:4].T ** 2 + spread[1] * patches[4, :, 4:6].T ** 2
-        lengths = np.sqrt(lengths**2 + 6 * disk.sum(axis=0))
+        level, wider, jitter = softened(patches[4, :, 2:6].T, (offset**2).mean(axis=1)[cell].T, lengths)
+        patches[:, :, 2:6] *= jitter[None, :, None]
+        lengths = np.sqrt(lengths**2 + wider.sum(axis=0) / 2)
     # a picture on the way, of few samples, may show them
     dim = DIM * max(SAMPLES / samples, 1.0) * float(power.sum(dtype=np.float64)) / size**2
     across, along = counts(lengths, power, rough, samples * size * size, dim)
     # how far neighbouring samples are apart, along x and y: as wide a box has their parallelogram's variance
     variance = sum(step * (4 / (n * n)).astype(np.float32) for step, n in zip(steps, (across, along), strict=True))
     if soft is not None:
-        variance += 12 * disk / (across * along).astype(np.float32)
-    order = np.lexsort((along, across))
+        variance += np.where(jitter > 0, wider / (across * along), wider).astype(np.float32)
+    order = np.lexsort((along, across, level))
     across, along = across[order], along[order]
     # one number after another: the samples of all patches of a size are one product
     values = np.ascontiguousarray(patches.transpose(0, 2, 1)[:, :, order])
     wide, high = np.clip(np.sqrt(variance), 1e-3, 1)[:, order]
-    starts = np.flatnonzero(np.append(True, (np.diff(across) != 0) | (np.diff(along) != 0)))
+    level = level[order]
+    breaks = (np.diff(across) != 0) | (np.diff(along) != 0) | (np.diff(level) != 0)
+    starts = np.flatnonzero(np.append(True, breaks))
     ends = np.append(starts[1:], len(order))
     home, chart = home[:, order], chart[order]
     places = None if soft is None else (cell[order], offset)
     # as many samples together as make the sum over all texels cheap, at a hundred bytes each
     batch = max(BATCH, size * size // 4)
-    tasks, task, count = [], [], 0
+    sums = {}
+
+    def run(task):
+        parts = [_samples(values[:, :, part], na, nb, part.start, places) for na, nb, part in task]
+        x, y, patch = (np.concatenate([p[k] for p in parts]) for k in range(3))
+        columns, rows = _kept(x, y, wide.take(patch), high.take(patch), patch, home, chart, receivers)
+        power = np.concatenate([p[3] for p in parts], axis=1)
+        filtered = int(level[task[0][2].start])
+        if filtered:
+            # near another chart's texels light is not blurred
+            deep = receivers.depth.take(rows[0] * size + columns[0]) >= REACH[filtered]
+            some = [[(index[which], part[which]) for index, part in (columns, rows)] for which in (deep, ~deep)]
+            add(filtered, *some[0], power[:, deep])
+            columns, rows, power = *some[1], power[:, ~deep]
+        add(0, columns, rows, power)
+
+    def add(number, columns, rows, power):
+        if not len(columns[0]):
+            return
+        if number not in sums:
+            sums[number] = np.zeros_like(total)
+        for target, value in zip(sums[number], _spread(columns, rows, power, size), strict=True):
+            target += value
+
+    task, count = [], 0
     for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
         na, nb = int(across[start]), int(along[start])
         at = start
+        if task and level[start] != level[task[0][2].start]:
+            run(task)
+            task, count = [], 0
         while at < end:
             stop = min(end, at + max(1, (batch - count) // (na * nb)))
             task.append((na, nb, slice(at, stop)))
             count += na * nb * (stop - at)
             at = stop
             if count >= batch:
-                tasks.append(task)
+                run(task)
                 task, count = [], 0
     if task:
-        tasks.append(task)
-
-    def run(task):
-        parts = [_samples(values[:, :, part], na, nb, part.start, places) for na, nb, part in task]
-        x, y, patch = (np.concatenate([p[k] for p in parts]) for k in range(3))
-        columns, rows = _kept(x, y, wide.take(patch), high.take(patch), patch, home, chart, receivers)
-        return _spread(columns, rows, np.concatenate([p[3] for p in parts], axis=1), size)
-
-    for task in tasks:
-        for target, value in zip(total, run(task), strict=True):
-            target += value
+        run(task)
+    for number, found in sums.items():
+        for target, value in zip(total, found, strict=True):
+            target += blurred(value.reshape(size, size), WIDTHS[number]).reshape(-1) if number else value
     return total.T
 
 
