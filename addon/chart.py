@@ -42,8 +42,12 @@ RESOLUTION = 256
 """Texels a side, as in a bake."""
 
 CYCLES_SPP = (1, 4, 16, 48, 96)
-REFERENCE_SPP = {"far": 96, "near": 256}
-"""Samples a texel of each half; a lamp close to a surface makes small bright spots, which paths find rarely."""
+REFERENCE_SPP = 64
+"""Samples a texel of each half that tell how many more a reference needs: a lamp close to a surface makes small bright
+spots, which paths find rarely."""
+
+REFERENCE_NOISE = 0.01
+"""Relative RMSE on blocks that a reference's own noise may make; it is subtracted, all but about a quarter of it."""
 
 LADDER = (
     {"entries": 256, "entry_rays": 128, "exit_rays": 32, "regions": 16, "lamps": 200},
@@ -63,6 +67,9 @@ PATIENCE = 40.0
 
 FAR, NEAR = 0.08, 0.025
 """Distances of the test lamps from surfaces, in parts of the scene's extent: far at least, near about."""
+
+PATHS = 1_200_000
+"""Of Cycles in a second on two cores, about."""
 
 ROUNDS = 3
 """Times that a curve's bakes are made, all in turn each time. The best time of each counts: whatever else the machine
@@ -94,10 +101,11 @@ def measure(
     seed: int = 0,
     progress: Callable[[Progress], None] = lambda _: None,
     names: Sequence[str] = tuple(WAYS),
+    indirect: Callable[..., reference.Reference] = reference.indirect,
 ) -> dict:
     """The chart's figures, JSON-able. Takes the scene's bake, lamps, sky and emission away: don't save it.
 
-    names: of NAMES, what to measure. "studies": by name what studies.py says of theirs. "lamps": kind, place and room of each. "methods": by name a list of points with "error" (mean over the lamps),
+    names: of NAMES, what to measure. indirect: makes the references, or has kept them. "studies": by name what studies.py says of theirs. "lamps": kind, place and room of each. "methods": by name a list of points with "error" (mean over the lamps),
     "errors", "bake_s", "relight_s", "entries", "rays", "bytes" (or "spp"). "notes": sentences on what was left out.
     Raises SceneError for scenes that cannot be baked.
     """
@@ -130,7 +138,8 @@ def measure(
     with relight.paused():
         lamp = _put_lamp(context)
         if wanted:
-            truths, found = _cycles(context, lamp, tests, resolution, steps, wanted, notes)
+            truths = _truths(context, lamp, tests, resolution, steps, indirect)
+            found = _cycles(context, lamp, tests, truths, resolution, steps, wanted, notes)
         shining = [_move(context, lamp, test) for test in tests]
         base = Settings(resolution=resolution, seed=seed)
         ladders = {
@@ -153,7 +162,7 @@ def measure(
         "seed": seed,
         "triangles": len(scene.triangles),
         "error": "RMSE over RGB / mean, 4×4-texel blocks, reference noise subtracted, mean over the lamps",
-        "reference_spp": {kind: 2 * spp for kind, spp in REFERENCE_SPP.items()},
+        "reference_spp": [2 * truth.reference.spp for truth in truths],
         "reference_noise": [round(truth.noise, 5) for truth in truths],
         "lamps": [{"kind": t.kind, "place": [round(x, 4) for x in t.place], "room_m": round(t.room, 4)} for t in tests],
         "methods": found,
@@ -169,7 +178,7 @@ class Steps:
 
     def __init__(self, progress):
         self.progress = progress
-        self.done, self.cost, self.stage = 0.0, 0.0, ""
+        self.done, self.cost, self.stage, self.told = 0.0, 0.0, "", 0.0
 
     def begin(self, stage: str, cost: float) -> None:
         """End the step before and begin one."""
@@ -180,7 +189,9 @@ class Steps:
         """part: of the step, in [0, 1]."""
         # tends to the end where more was to do than thought
         spent = (self.done + self.cost * part) / self.TOTAL
-        self.progress(Progress(self.stage, spent if spent < 0.9 else 1 - 0.1 * np.exp(9 - 10 * spent), 0))
+        # a bake that finds out that it has more to do falls back
+        self.told = max(self.told, spent if spent < 0.9 else 1 - 0.1 * np.exp(9 - 10 * spent))
+        self.progress(Progress(self.stage, self.told, 0))
 
 
 @dataclass(frozen=True)
@@ -296,28 +307,40 @@ def _move(context, lamp, test) -> tuple:
     return tuple(light for light in shining if light.power.any())
 
 
-def _cycles(context, lamp, tests, resolution, steps, wanted, notes) -> tuple[list[Truth], dict[str, list[dict]]]:
-    """The references, and the points of Cycles' ways that are wanted: time of a bake for one lamp, mean over the lamps."""
+def _truths(context, lamp, tests, resolution, steps, indirect) -> list[Truth]:
+    """A reference for each test lamp, of as many samples as its noise asks for, if they take no more than PATIENCE."""
+    rate = resolution**2 / PATHS
+    most = max(int(PATIENCE / (2 * rate)), REFERENCE_SPP)
+    truths = []
+    for number, test in enumerate(tests, 1):
+        _move(context, lamp, test)
+
+        def find(spp, number=number):
+            def begin():
+                steps.begin(f"Cycles, reference {number} of {len(tests)}", spp * rate)
+
+            found = indirect(context, resolution, spp, 90 + number, progress=begin)
+            if not found.image[found.mask].any():
+                raise SceneError("The test lamps light nothing: every surface is black, or none scatters light.")
+            noise = metrics.compare(found.image, found.image, found.mask, reference_halves=tuple(found.halves)).noise
+            return Truth(found, noise)
+
+        truth = find(REFERENCE_SPP)
+        more = min(int(np.ceil(REFERENCE_SPP * (truth.noise / REFERENCE_NOISE) ** 2)), most)
+        truths.append(find(more) if more > REFERENCE_SPP else truth)
+    return truths
+
+
+def _cycles(context, lamp, tests, truths, resolution, steps, wanted, notes) -> dict[str, list[dict]]:
+    """The points of Cycles' ways that are wanted: time of a bake for one lamp, mean over the lamps."""
     plain, clean = WAYS["cycles"], WAYS["denoised"]
     denoises = clean in wanted and denoised.can()
     if clean in wanted and not denoises:
         notes.append("This Blender was built without OpenImageDenoise, so Cycles' bakes are not denoised.")
-    rate = resolution**2 / 1_200_000  # s a sample on two cores, about
+    rate = resolution**2 / PATHS
     _move(context, lamp, tests[0])
     # the first bake loads kernels
     reference.cycles_bake(context, {"INDIRECT"}, resolution, 1)
-    truths = []
-    for number, test in enumerate(tests, 1):
-        _move(context, lamp, test)
-        spp = REFERENCE_SPP[test.kind]
-        label = f"Cycles, reference {number} of {len(tests)}"
-        found = reference.indirect(
-            context, resolution, spp, 90 + number, progress=lambda s=spp, text=label: steps.begin(text, s * rate)
-        )
-        if not found.image[found.mask].any():
-            raise SceneError("The test lamps light nothing: every surface is black, or none scatters light.")
-        noise = metrics.compare(found.image, found.image, found.mask, reference_halves=tuple(found.halves)).noise
-        truths.append(Truth(found, noise))
     ways = [plain, clean] if denoises else [plain] if plain in wanted else []
     errors = {way: np.zeros((len(CYCLES_SPP), len(tests))) for way in ways}
     seconds = {way: np.full(errors[way].shape, np.inf) for way in ways}
@@ -334,7 +357,7 @@ def _cycles(context, lamp, tests, resolution, steps, wanted, notes) -> tuple[lis
                 for way, (shown, took) in made.items():
                     errors[way][row, column] = truth.compare(shown).error
                     seconds[way][row, column] = min(seconds[way][row, column], took)
-    return truths, {
+    return {
         way: [
             _point(e, s, s, spp=spp)
             for e, s, spp in zip(errors[way], seconds[way].mean(axis=1), CYCLES_SPP, strict=True)

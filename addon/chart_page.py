@@ -5,8 +5,10 @@ from __future__ import annotations
 import base64
 import datetime
 import html
+import json
 import os
 import platform
+import re
 import sys
 
 import bpy
@@ -16,6 +18,9 @@ STYLE = """body{font:15px/1.5 system-ui,sans-serif;color:#1f2328;max-width:1100p
 h1,h2{line-height:1.2}img{max-width:100%;height:auto}table{border-collapse:collapse;margin:1em 0;font-size:13px}
 td,th{padding:.2em .8em;border-bottom:1px solid #e4e7eb;text-align:right}td:first-child,th:first-child{text-align:left}
 p.note{color:#57606a;font-size:13px}"""
+
+BUSY = 3.0
+"""Load from which times are those of a busy machine: a chart keeps two cores busy by itself."""
 
 
 def machine() -> dict[str, str]:
@@ -39,22 +44,42 @@ def _processor() -> str:
 
 def page(reports: list[dict], pictures: list[list[bytes]]) -> str:
     """The page of scenes' figures (`chart.measure`, with "studies") and of their PNGs, the chart's first, then one for each
-    study that has lines. Without pictures the tables alone."""
-    first = reports[0]
+    study that has lines. Without pictures the tables alone. `figures` reads the figures back."""
     title = f"Lightpanes: charts of {', '.join(report['scene'] for report in reports)}"
     parts = [
         "<!DOCTYPE html>",
         f'<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title><style>{STYLE}</style></head><body>',
         f"<h1>{html.escape(title)}</h1>",
-        f"<p>{html.escape(first['date'])}. {html.escape(first['machine'])}. {html.escape(first['versions'])}.</p>",
+        *(f"<p>{html.escape(line)}</p>" for line in dict.fromkeys(map(_made, reports))),
+        f"<p>{_links(reports)}</p>" if len(reports) > 1 else "",
     ]
     for report, images in zip(reports, pictures, strict=True):
         parts += _scene(report, list(images))
+    # nothing in it may end the element
+    data = json.dumps(reports, ensure_ascii=False).replace("</", "<\\/")
+    parts.append(f'<script type="application/json" id="figures">{data}</script>')
     return "\n".join([*parts, "</body></html>", ""])
 
 
+def figures(page: str) -> list[dict]:
+    """The figures that a page was made of; none where it holds none."""
+    found = re.search(r'<script type="application/json" id="figures">(.*?)</script>', page, re.DOTALL)
+    return json.loads(found.group(1)) if found else []
+
+
+def _made(report) -> str:
+    busy = f" Other work ran beside: a load of {report['load']}." if report.get("load", 0) > BUSY else ""
+    return f"{report['date']}. {report['machine']}. {report['versions']}.{busy}"
+
+
+def _links(reports) -> str:
+    names = [html.escape(report["scene"]) for report in reports]
+    return " · ".join(f'<a href="#{name}">{name}</a>' for name in names)
+
+
 def _scene(report, images) -> list[str]:
-    parts = [f"<h2>{html.escape(report['scene'])}</h2>"]
+    name = html.escape(report["scene"])
+    parts = [f'<h2 id="{name}">{name}</h2>']
     if report["methods"]:
         parts += _picture(images, "error against time")
         parts.append(f'<p class="note">Error: {html.escape(report["error"])}.</p>')

@@ -1,19 +1,40 @@
-"""Memory that frames free and want again at once."""
+"""How much memory a bake may take: work over many rows is cut into chunks by it."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Iterator
+from contextlib import contextmanager
 
-LARGE = 31 << 20
-"""Bytes, just below what glibc's allocator takes as the largest sign."""
+GIB = 1 << 30
+DEFAULT, LEAST_MEMORY = 4.0, 0.25  # GiB
+
+CHUNK = 1 / 64
+"""Part of what a bake may take that passing arrays of one step may, on all threads together."""
+
+THREADS, IN_THREAD = 1 / 4, 64e6
+"""Part of it that all threads together may take while they work, and bytes that one takes."""
+
+_allowed = DEFAULT * GIB
 
 
-def keep_freed() -> None:
-    """Let the process keep some tens of MB that it frees, where the allocator is glibc's.
+@contextmanager
+def allowing(gib: float) -> Iterator[None]:
+    """Within it work that begins is cut into chunks for a bake of so many GiB; results don't depend on it."""
+    global _allowed
+    before, _allowed = _allowed, gib * GIB
+    try:
+        yield
+    finally:
+        _allowed = before
 
-    That one gives arrays of a frame back to the system as soon as they are freed, and the system clears every page of them
-    when it is asked for them again: a fifth of a frame's time, in which threads wait for each other. Once it has seen a
-    large block freed it no longer does so for smaller ones (mallopt(3), M_MMAP_THRESHOLD). The block itself is never
-    written to, so it costs nothing.
-    """
-    np.empty(LARGE, np.uint8)
+
+def most_threads() -> int:
+    """Threads whose passing arrays fit."""
+    return max(int(THREADS * _allowed / IN_THREAD), 1)
+
+
+def slices(count: int, each: float, threads: int = 1) -> list[slice]:
+    """Consecutive rows of `count`, of which each takes `each` bytes while it is worked on, as many together as memory
+    allows; threads: that work at once."""
+    size = max(int(CHUNK * _allowed / (each * threads)), 1024)
+    return [slice(start, min(start + size, count)) for start in range(0, count, size)]

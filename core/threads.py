@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import count
 
+from .memory import most_threads
+
 MOST_THREADS = 16
 """More win nothing: the rest of a bake is bound by memory."""
 
@@ -22,9 +24,10 @@ def use_threads(count: int) -> None:
 
 
 def thread_count() -> int:
-    """Threads that a bake uses: those asked for, or the cores this process may run on, at most MOST_THREADS."""
+    """Threads that a bake uses: those asked for, or the cores this process may run on, at most MOST_THREADS, and no more
+    than memory allows."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(MOST_THREADS, _asked or cores))
+    return max(1, min(MOST_THREADS, most_threads(), _asked or cores))
 
 
 def in_threads(function: Callable, items: Iterable, threads: int | None = None) -> list:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..memory import keep_freed
+from ..allocator import keep_freed
 from ..rays import chunks
 from ..threads import in_threads
 from .keys import surface_keys

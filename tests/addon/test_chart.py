@@ -39,7 +39,8 @@ PLAIN = ("cycles", "paper", "clusters", "panes")
 def small(monkeypatch):
     """A chart of few points, done in seconds."""
     monkeypatch.setattr(chart, "CYCLES_SPP", (1, 16, 128))
-    monkeypatch.setattr(chart, "REFERENCE_SPP", {"far": 128, "near": 256})
+    monkeypatch.setattr(chart, "REFERENCE_SPP", 128)
+    monkeypatch.setattr(chart, "REFERENCE_NOISE", 10.0)
     monkeypatch.setattr(chart, "LADDER", ({**SMALL, "entries": 200, "exit_rays": 16}, SMALL))
     monkeypatch.setattr(chart, "WALKS", (64, 256))
     monkeypatch.setattr(chart, "ROUNDS", 2)
@@ -50,7 +51,7 @@ def small(monkeypatch):
 def least(small, monkeypatch):
     """A chart whose figures do not matter."""
     monkeypatch.setattr(chart, "CYCLES_SPP", (1, 2))
-    monkeypatch.setattr(chart, "REFERENCE_SPP", {"far": 4, "near": 4})
+    monkeypatch.setattr(chart, "REFERENCE_SPP", 4)
     monkeypatch.setattr(chart, "LADDER", ({**SMALL, "entries": 200, "exit_rays": 16},))
 
 
@@ -269,7 +270,8 @@ def test_picture_of_odd_figures(tmp_path):
         "scene": "odd",
         "resolution": 32,
         "triangles": 12,
-        "reference_spp": {"far": 4},
+        "reference_spp": [4],
+        "reference_noise": [0.01, 0.02],
         "lamps": [{"kind": "far", "room_m": 1.0}, {"kind": "near", "room_m": 0.004}],
         "methods": {"Cycles": [far], "Lightpanes": [one], "The paper's panes, our gather": []},
     }
@@ -372,3 +374,16 @@ def test_studies_that_do_not_apply(room, few, small):
 def test_wrong_names_of_methods(file, capsys):
     assert commands.main(["chart", str(file), "--methods", "cycles,eevee"]) == 2
     assert "use some of cycles, denoised" in capsys.readouterr().err
+
+
+def test_references_take_as_many_samples_as_their_noise_asks_for(room, least, monkeypatch):
+    asked = []
+
+    def indirect(context, resolution, spp, seed, progress):
+        asked.append(spp)
+        return reference.indirect(context, resolution, spp, seed, progress=progress)
+
+    monkeypatch.setattr(chart, "REFERENCE_NOISE", 0.1)
+    found = chart.measure(bpy.context, 32, names=("cycles",), indirect=indirect)
+    assert asked.count(4) == 3 and found["reference_spp"] == [2 * spp for spp in asked if spp > 4]
+    assert max(found["reference_noise"]) == pytest.approx(0.1, rel=0.5)
