@@ -32,6 +32,12 @@ def scaled(rows: np.ndarray, factor: np.ndarray) -> np.ndarray:
     return result
 
 
+def put(rows: np.ndarray, at, values: np.ndarray) -> None:
+    """rows[at] = values, all (…, 3) float32 and contiguous, each row as one number: in half the time."""
+    whole = np.dtype((np.void, 12))
+    rows.view(whole)[:, 0][at] = np.ascontiguousarray(values, np.float32).view(whole)[:, 0]
+
+
 def outer(values: np.ndarray, colour: np.ndarray) -> np.ndarray:
     """(n, 3): (n,) times (3,)."""
     result = np.empty((len(values), 3), np.float32)

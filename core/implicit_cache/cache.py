@@ -24,7 +24,7 @@ from .trust import MEMORY, departure, scatter, worth
 
 TINY = np.float32(1e-12)
 
-PIECE = 1 << 15
+PIECE = 1 << 16
 """Samples handled together: few enough for all threads to have some. No result depends on how many threads there are."""
 
 

@@ -28,7 +28,7 @@ class Points(NamedTuple):
 
     def take(self, rows: np.ndarray) -> Points:
         """Of these points."""
-        return Points(self.cell.take(rows, axis=1), *(part.take(rows) for part in self[1:]))
+        return Points(self.cell.take(rows, axis=1, mode="clip"), *(part.take(rows, mode="clip") for part in self[1:]))
 
 
 def share_samples(position: np.ndarray, level: np.ndarray, surface: np.ndarray) -> tuple[Shares, Points]:

@@ -53,11 +53,11 @@ class Film:
         self._weights[name] += weight
 
     def replace(self, name: str, image: np.ndarray, former: np.ndarray | None) -> None:
-        """Count an image in place of a former one, None where it is one more."""
+        """Count an image in place of a former one, which is used up; None where it is one more."""
         if former is None:
             self.add(name, image)
         else:
-            self._sums[name] += image - former
+            self._sums[name] += np.subtract(image, former, out=former)
 
     def change(self, name: str, rows: np.ndarray, difference: np.ndarray) -> None:
         """Some pixels of an image that counts are now brighter by (k, C)."""

@@ -11,7 +11,7 @@ from ..rays import chunks
 from ..sampling import BELOW_ONE, GOLDEN, PLASTIC, hash_uniform
 from ..scene import Sky
 from ..threads import in_threads, thread_count
-from ..vectors import scaled
+from ..vectors import put, scaled
 from .camera import Camera
 from .lobes import DIFFUSE, GLASS, choose
 from .surfaces import Surfaces
@@ -115,7 +115,8 @@ def _trace(surfaces, camera, sky, offset, rows, number, seed, transparent):
         if turn and inside.any():
             weight = (1 if weight is None else weight) * np.exp(-inside * distance[:, None])
         if turn == 0:
-            alpha[who], depth[who], shown[who] = 1, camera.depth(hit), normal
+            alpha[who], depth[who] = 1, camera.depth(hit)
+            put(shown, who, normal)
         if looks.emits:
             light = looks.emission(triangle, u, v)
             seen[who] += light if weight is None else weight * light

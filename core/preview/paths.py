@@ -10,7 +10,7 @@ from ..lights import sky_radiance
 from ..sampling import hash_uint32, hash_uniform
 from ..scene import Sky
 from ..threads import in_threads
-from ..vectors import scaled
+from ..vectors import put, scaled
 from .baked import BakedLight
 from .gbuffer import pieces
 from .light import Baked, Lamps
@@ -197,7 +197,7 @@ class PathTracer:
             light[known] += sum(read).T
         if bounces == 1:
             light *= factor
-            into.indirect[piece][rows] = light
+            put(into.indirect[piece], rows, light)
             return None
         owner = surfaces.scene.triangle_object[triangle]
         return _Vertices(rows + piece.start, hit, normal, flat, factor, light, unknown, owner)

@@ -11,6 +11,7 @@ from ..implicit_cache import Cache
 from ..sampling import PLASTIC, hash_uniform
 from ..scene import Light, SceneError, Sky
 from ..threads import in_threads
+from ..vectors import put
 from .accumulation import Film, PixelCache
 from .camera import Camera
 from .gbuffer import GBuffer, make_gbuffer, pieces
@@ -255,7 +256,7 @@ class Preview:
             baked = self._read_bake(buffer, known)
         view = _View(buffer, buffer.reflectance * _F(1 / np.pi), known, rest, baked)
         if len(buffer.footprint):
-            span = float(np.median(buffer.footprint))
+            span = float(np.median(buffer.footprint[::16]))
             # another unit is another cache, so it stays while it is about right
             if not 0.4 < self._span / max(span, 1e-30) < 2.5:
                 self._span = span
@@ -411,7 +412,10 @@ class Preview:
 
 
 def _put(image, pixels, values):
-    image[_within(pixels)] = values
+    if image.shape[1] == 3:
+        put(image, _within(pixels), values)
+    else:
+        image[_within(pixels)] = values
 
 
 def _within(rows):
@@ -424,7 +428,7 @@ def _spread(buffer: GBuffer, values: np.ndarray, factor: np.ndarray | None = Non
     image = np.zeros((len(buffer.depth), values.shape[1]), np.float32)
 
     def part(s):
-        image[_within(buffer.rows[s])] = values[s] if factor is None else values[s] * factor[s]
+        _put(image, buffer.rows[s], values[s] if factor is None else values[s] * factor[s])
 
     in_threads(part, pieces(len(buffer.rows)))
     return image
