@@ -110,7 +110,7 @@ class Relighter:
                 unit[place] = self._unit.get(place)
                 if unit[place] is None:
                     unit[place], moment = self.entry_light.look(light)
-                    uneven[place] = unevenness(moment, self.panes.surface.albedo, self.panes.surface.size, self._near)
+                    uneven[place] = unevenness(moment, self.panes.surface.albedo, self.panes.surface.size, self.near)
             direct = unit[place] if unit[place].ndim == 2 else unit[place][:, None]
             if extra is not None:
                 direct = direct + extra
@@ -124,7 +124,7 @@ class Relighter:
         return total
 
     @cached_property
-    def _near(self) -> np.ndarray:
+    def near(self) -> np.ndarray:
         """(n,) of `nearness`: some thousand rays, once."""
         return nearness(self.panes.surface, self.entry_light.tracer, self.entry_light.seed)
 

@@ -6,7 +6,7 @@ rays, so that its noise can be taken off. All is grey: panes are shared by red, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from lightpanes.core import metrics
@@ -98,7 +98,8 @@ class Sweeps:
         self.baked = bake(self.scene, settings)
         self.relighter = Relighter(self.baked.panes(), Tracer(self.scene))
         self.expected = expected_of(self.baked.report)
-        ready = self.ready = prepare(self.scene, settings)
+        # what trials ended at, so that both have the same entries
+        ready = self.ready = prepare(self.scene, replace(settings, **self.baked.report["budget"]))
         self.fine = prepare(self.scene, truth)
         cluster = make_clusters(ready.entries, CLUSTERS, self.scene.extent)
         rays = ready.budget.exit_rays
