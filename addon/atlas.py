@@ -56,9 +56,7 @@ def make_atlas(
     """All of `atlas_steps` at once, and the scene takes the atlas; returns warnings."""
     planned, warnings = run(atlas_steps(context, objects, resolution, at_vertices))
     unfolded = Unfolded(planned)
-    for obj in objects:
-        if obj.type == "MESH":
-            warnings += unfolded.read(context, obj)
+    warnings += unfolded.read(context, *(obj for obj in objects if obj.type == "MESH"))
     planned.restore()
     return warnings
 

@@ -37,7 +37,7 @@ from . import (
 )
 from .preflight import check as preflight
 from .snapshot import PLACE, Snapshot, remove_layer
-from .unfolded import Unfolded
+from .unfolded import Unfolded, together
 from .work import Work, mapped, run
 
 # Parts of the whole at which reading the scene, core's work, and building what is stored end.
@@ -75,6 +75,7 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
         seed=asked.seed,
         exits=asked.exits.lower(),
         photons=caustics.photons_asked(scene),
+        memory=asked.memory_budget,
     )
     yield Progress("Atlas", 0.0, 0)
     objects = [item for item in scene.objects if item.type == "MESH" and store.TAG not in item]
@@ -88,12 +89,14 @@ def bake_steps(context: bpy.types.Context, kept: Kept | None = None) -> Generato
     # nothing of the atlas is in the scene until the new bake is: what is there shows by the old one, and files that are
     # saved and steps that are undone meanwhile are those of a scene without a bake under way
     unfolded = Unfolded(planned)
-    for item in objects:
+    for some in together(objects):
         with relight.paused():
-            warnings += unfolded.read(context, item)
+            warnings += unfolded.read(context, *some)
         yield Progress("Reading the scene", ATLAS, 0)
-        # subdivision waits until somebody asks for the mesh
-        _ = item.evaluated_get(context.evaluated_depsgraph_get()).data
+        depsgraph = context.evaluated_depsgraph_get()
+        for item in some:
+            # subdivision waits until somebody asks for the mesh
+            _ = item.evaluated_get(depsgraph).data
         yield Progress("Reading the scene", ATLAS, 0)
     loops: dict = {}
     with relight.paused(), unfolded.laid(objects):

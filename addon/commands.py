@@ -18,6 +18,7 @@ import bpy
 
 from ..core.bake import BakeError
 from ..core.files import replacing
+from ..core.memory import LEAST_MEMORY
 from ..core.planner import EXITS
 from ..core.rays import EngineError
 from ..core.scene import SceneError
@@ -81,6 +82,9 @@ def _parser(opened: bool) -> argparse.ArgumentParser:
     bake = command("bake", _bake, "Bake a scene; the result goes to FILE_lightpanes.blend, never over the input.")
     bake.add_argument("--error", type=_number(0.002, 0.5), metavar="E", help="relative error to bake for (0.05)")
     bake.add_argument("--time", type=_number(0, 1e6), metavar="S", help="seconds that the bake may take, 0: no limit")
+    bake.add_argument(
+        "--memory", type=_number(LEAST_MEMORY, 4096), metavar="GIB", help="memory that the bake may take (4)"
+    )
     bake.add_argument("--resolution", type=_number(16, 4096, int), metavar="N", help="atlas size in pixels (256)")
     bake.add_argument("--exits", choices=EXITS, help="where light is gathered (auto: points where that is less work)")
     bake.add_argument(
@@ -177,6 +181,7 @@ def _bake(options) -> int:
     for setting, value in (
         ("error_target", options.error),
         ("time_budget", options.time),
+        ("memory_budget", options.memory),
         ("resolution", options.resolution),
         ("exits", options.exits and options.exits.upper()),
         ("direct", options.direct and options.direct.upper()),
@@ -453,6 +458,7 @@ def _settings(asked) -> dict:
     return {
         "error_target": round(asked.error_target, 6),
         "time_budget": asked.time_budget,
+        "memory_budget": asked.memory_budget,
         "resolution": asked.resolution,
         "exits": asked.exits.lower(),
         "direct": asked.direct.lower(),

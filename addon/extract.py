@@ -124,7 +124,8 @@ def _join(parts, objects, used, lights, sky, warnings):
 
 def _loops(scene, index, part, start):
     """Loops of the object's triangles that the scene kept: it drops those without area."""
-    kept = scene.triangles[scene.triangle_object == index].astype(np.int64) - start
+    first, last = np.searchsorted(scene.triangle_object, [index, index + 1])
+    kept = scene.triangles[first:last].astype(np.int64) - start
     if len(kept) == len(part.loops):
         return part.loops
     base = np.array([len(part.positions) ** 2, len(part.positions), 1], np.int64)

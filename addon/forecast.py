@@ -14,8 +14,10 @@ from types import SimpleNamespace
 
 import bpy
 
+from ..core import footprint
 from ..core.bake.stored import DENSER
-from ..core.planner import Budget, Settings, needs_panes, plan, uses_points
+from ..core.memory import GIB
+from ..core.planner import Budget, Settings, needs_panes, plan
 from ..core.threads import thread_count
 from . import store
 from .obstacles import Facts
@@ -55,25 +57,48 @@ class Forecast:
 
 def predict(facts: Facts) -> Forecast:
     """For the scene as it is and its settings."""
-    asked = facts.scene.lightpanes
-    settings = Settings(
-        error_target=asked.error_target, resolution=asked.resolution, exits=asked.exits.lower(), seed=asked.seed
-    )
-    triangles = sum(_triangles(item) for item in facts.shown)
-    lamps = [SimpleNamespace(live=item.data.lightpanes.live) for item in facts.lamps]
-    # all that the planner asks of a scene
-    scene = SimpleNamespace(triangles=range(triangles), lights=lamps)
+    settings, scene = _asked(facts)
+    triangles = len(scene.triangles)
     budget = plan(scene, settings)
     textured = len(facts.receivers) > len(facts.at_vertices)
     texels = int(COVERED * settings.resolution**2) if textured else 0
     corners = sum(len(item.data.vertices) for item in facts.at_vertices)
-    at_points = uses_points(settings, budget, texels, corners)
+    at_points = footprint.takes_points(settings, budget, triangles, texels, corners)
+    budget = footprint.within(budget, settings, triangles, at_points)
     seconds, held = model(budget, triangles, texels + corners, at_points, needs_panes(scene))
     seconds *= _correction(facts)
-    if asked.time_budget > 0:
-        seconds = min(seconds, asked.time_budget)
+    limit = facts.scene.lightpanes.time_budget
+    if limit > 0:
+        seconds = min(seconds, limit)
     stored = DENSER * budget.points if at_points and settings.exits != "atlas" else 0
-    return Forecast(texels, stored, seconds, held)
+    return Forecast(texels, stored, seconds, min(held, settings.memory * GIB))
+
+
+def shortage(facts: Facts) -> str:
+    """Why the bake would not fit into the memory that it may take, as far as counts tell; "" where it does."""
+    settings, scene = _asked(facts)
+    heaviest = max(facts.shown, key=_triangles, default=None)
+    triangles = len(scene.triangles)
+    if heaviest is None or (settings.exits == "atlas" and facts.at_vertices):
+        return ""
+    budget = plan(scene, settings)
+    at_points = footprint.takes_points(settings, budget, triangles, settings.resolution**2, len(facts.at_vertices))
+    return footprint.shortage(settings, budget, triangles, at_points, heaviest.name)
+
+
+def _asked(facts: Facts) -> tuple[Settings, SimpleNamespace]:
+    """The settings, and all that the planner asks of a scene."""
+    asked = facts.scene.lightpanes
+    settings = Settings(
+        error_target=asked.error_target,
+        resolution=asked.resolution,
+        exits=asked.exits.lower(),
+        seed=asked.seed,
+        memory=asked.memory_budget,
+    )
+    triangles = sum(_triangles(item) for item in facts.shown)
+    lamps = [SimpleNamespace(live=item.data.lightpanes.live) for item in facts.lamps]
+    return settings, SimpleNamespace(triangles=range(triangles), lights=lamps)
 
 
 def model(budget: Budget, triangles: int, places: int, at_points: bool, live: bool) -> tuple[float, float]:

@@ -159,6 +159,7 @@ class LIGHTPANES_PT_advanced(_SubPanel, bpy.types.Panel):
         row = layout.row()
         row.active = settings.caustics
         row.prop(settings, "photons")
+        layout.prop(settings, "memory_budget")
         layout.prop(settings, "seed")
 
 

@@ -14,7 +14,7 @@ from bpy.app.handlers import persistent
 
 from ..core.scene import SceneError
 from . import areas, foreign, glassware, handlers, obstacles, store, twice
-from .forecast import Forecast, predict
+from .forecast import Forecast, predict, shortage
 from .obstacles import ERROR, Facts, Obstacle
 
 REST = 20.0
@@ -57,10 +57,13 @@ _changes = 0
 
 def check(context: bpy.types.Context) -> list[str]:
     """Warnings that only matter before a bake; raises SceneError when there is nothing to bake or it can't begin."""
-    found = obstacles.find(Facts(context))
+    facts = Facts(context)
+    found = obstacles.find(facts)
     for obstacle in found:
         if obstacle.severity == ERROR and obstacle.kind not in FOR_THE_PANEL:
             raise SceneError(obstacle.sentence)
+    if sentence := shortage(facts):
+        raise SceneError(sentence)
     # the bake itself says the others, knowing modifiers
     return [obstacle.sentence for obstacle in found if obstacle.kind == "NO_LAMP"]
 
@@ -85,6 +88,8 @@ def examine(context: bpy.types.Context) -> Findings:
     """Look at the scene anew. Nothing is evaluated or rendered."""
     facts = Facts(context)
     found = [*obstacles.find(facts), *twice.find(facts), *glassware.find(facts)]
+    if facts.receivers and (sentence := shortage(facts)):
+        found.insert(0, Obstacle("MEMORY", ERROR, sentence))
     blocked = any(obstacle.severity == ERROR for obstacle in found) or not facts.receivers
     live = sum(item.data.lightpanes.live for item in facts.lamps)
     return Findings(
@@ -123,6 +128,7 @@ def _key(context) -> tuple:
         scene.render.engine,
         asked.error_target,
         asked.time_budget,
+        asked.memory_budget,
         asked.resolution,
         asked.exits,
         asked.cycles,

@@ -5,6 +5,8 @@ from __future__ import annotations
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
+from ..core.memory import DEFAULT, LEAST_MEMORY
+
 
 def _cycles_changed(_settings, context):
     from . import direct, nodes, store
@@ -72,6 +74,16 @@ class SceneSettings(bpy.types.PropertyGroup):
         min=0.0,
         soft_max=600.0,
         unit="TIME_ABSOLUTE",
+    )
+    memory_budget: FloatProperty(
+        name="Memory",
+        description="GiB of memory that a bake may take beside what Blender has already. It works in smaller chunks and "
+        "with fewer threads where that is little, and says so before it starts where it can't do with it",
+        default=DEFAULT,
+        min=LEAST_MEMORY,
+        soft_max=64.0,
+        max=4096.0,
+        precision=2,
     )
     resolution: IntProperty(
         name="Resolution",

@@ -95,7 +95,7 @@ class LIGHTPANES_render_engine(bpy.types.RenderEngine):
                 _write(result, "Combined", background(eye, lighting.sky, scene.render.film_transparent))
             else:
                 samples = scene.lightpanes.samples
-                settings = shown.settings_of(scene, split=bool(names), places=max(1, min(samples, PLACES)))
+                settings = shown.settings_of(scene, passes=tuple(names), places=max(1, min(samples, PLACES)))
                 preview = Preview(surfaces, eye, lighting.lights, lighting.sky, settings, lighting.baked)
                 self._sample(preview, result, names, samples)
         finally:

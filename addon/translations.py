@@ -68,6 +68,10 @@ GERMAN = {
     "{} baked in": "{} eingebacken",
     "Relative error of the indirect light to bake for: smaller is more exact and slower":
         "Relativer Fehler des indirekten Lichts, für den gebacken wird: kleiner ist genauer und langsamer",
+    "GiB of memory that a bake may take beside what Blender has already. It works in smaller chunks and with fewer threads "
+    "where that is little, and says so before it starts where it can't do with it": "GiB Speicher, die ein Backvorgang "
+    "neben dem von Blender belegten nehmen darf. Wo das wenig ist, arbeitet er in kleineren Stücken und mit weniger "
+    "Threads, und wo es nicht reicht, sagt er das vor dem Beginn",
     "Seconds that a bake may take, 0 for no limit. The error then is what the time allows":
         "Sekunden, die das Backen dauern darf, 0 ohne Grenze. Der Fehler ist dann so klein, wie es die Zeit erlaubt",
     "Resolution": "Auflösung",

@@ -6,7 +6,7 @@ and Blender, which the user may use between two steps of a bake, never meets a s
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
 import bpy
@@ -18,11 +18,30 @@ from .meshes import LAYER, loop_triangles, read_attribute
 from .snapshot import Snapshot, read_layer, remove_layer, write_layer
 
 DOUBLING = {"MIRROR", "ARRAY", "SOLIDIFY", "SCREW", "NODES", "BOOLEAN", "SKIN", "BUILD"}
+READS = 64
+"""Turns in which the objects are read, about, between which the user may cancel."""
+
 CHANGED = "The scene changed while it was read: bake again."
 
 
+def together(objects: Sequence[bpy.types.Object]) -> Iterator[list[bpy.types.Object]]:
+    """The objects a few at a time, in order: each read costs Blender a look at all that there is, so there are no more
+    reads in a large scene than in a small one."""
+    count = max(len(objects) // READS, 1)
+    corners = sum(len(item.data.loops) for item in objects) / READS
+    some, held = [], 0
+    for item in objects:
+        some.append(item)
+        held += len(item.data.loops)
+        if len(some) >= count or held >= corners:
+            yield some
+            some, held = [], 0
+    if some:
+        yield some
+
+
 class Unfolded:
-    """A planned atlas; `read` each object that has modifiers, then look at `place` and `uv` inside of `laid`."""
+    """A planned atlas; `read` all objects, a few `together`, then look at `place` and `uv` inside of `laid`."""
 
     def __init__(self, planned: Snapshot):
         self.planned = planned
@@ -37,17 +56,20 @@ class Unfolded:
         """(L, 2) float32 coordinates on the object's own mesh, None where it has none."""
         return self.planned.layer(item.data)
 
-    def read(self, context: bpy.types.Context, item: bpy.types.Object) -> list[str]:
-        """Find where modifiers leave the layer; returns warnings. Its mesh is afterwards as it was."""
-        if not item.modifiers or "lightpanes_scale" not in self.place(item):
+    def read(self, context: bpy.types.Context, *items: bpy.types.Object) -> list[str]:
+        """Find where modifiers leave the layer; returns warnings. Their meshes are afterwards as they were."""
+        shaped = [item for item in items if item.modifiers and "lightpanes_scale" in self.place(item)]
+        if not shaped:
             return []
-        if _refers(item):
-            # as others render; they are made so all at once
-            self._rest.add(item.session_uid)
-        with self._laid([item]), visibility.as_rendered(context, [item]) as depsgraph:
-            mesh = item.evaluated_get(depsgraph).data
-            self._evaluated[item.session_uid] = read_layer(mesh)
-            return _overlaps(item, mesh)
+        # as others render; they are made so all at once
+        self._rest.update(item.session_uid for item in shaped if _refers(item))
+        warnings: list[str] = []
+        with self._laid(shaped), visibility.as_rendered(context, shaped) as depsgraph:
+            for item in shaped:
+                mesh = item.evaluated_get(depsgraph).data
+                self._evaluated[item.session_uid] = read_layer(mesh)
+                warnings += _overlaps(item, mesh)
+        return warnings
 
     @contextmanager
     def laid(self, objects: Iterable[bpy.types.Object]) -> Iterator[None]:

@@ -29,9 +29,12 @@ def choose(context: bpy.types.Context, objects: Iterable[bpy.types.Object]) -> t
     receivers = atlas.receivers(context, objects, [])
     asking = [item for item in receivers if item.lightpanes.target == "VERTICES"]
     reshaped = _reshaped(context, [item for item in asking if item.modifiers])
+    users: dict[bpy.types.Mesh, list[bpy.types.Object]] = {}
+    for item in receivers:
+        users.setdefault(item.data, []).append(item)
     chosen, warnings = [], []
     for item in asking:
-        other = next((each for each in receivers if each.data == item.data and each != item), None)
+        other = next((each for each in users[item.data] if each != item), None)
         if other is not None:
             warnings.append(refusals.shares_mesh(item, other))
         elif LIGHT in item.data.attributes and OURS not in item.data:
@@ -68,6 +71,7 @@ def keep(context: bpy.types.Context, surfaces: Scene, loops: dict[str, np.ndarra
     drop()
     found = make_vertices(surfaces)
     owner = surfaces.triangle_object[found.triangle]
+    textured = {item.data for item in bpy.data.objects if "lightpanes_scale" in item}
     for index, part in enumerate(surfaces.objects):
         if part.at_vertices:
             item = scene.objects.get(part.name)
@@ -75,9 +79,10 @@ def keep(context: bpy.types.Context, surfaces: Scene, loops: dict[str, np.ndarra
             if item is None or item.type != "MESH":
                 continue
             mesh = item.data
-            _make_attributes(mesh, loops[part.name], found.corner[owner == index])
+            first, last = np.searchsorted(owner, [index, index + 1])
+            _make_attributes(mesh, loops[part.name], found.corner[first:last])
             # from a bake that gave it a place in the atlas
-            if not any(item.data == mesh and "lightpanes_scale" in item for item in bpy.data.objects):
+            if mesh not in textured:
                 remove_layer(mesh)
 
 

@@ -57,7 +57,7 @@ class Viewport:
         if self.lighting is None:
             return False
         scene = depsgraph.scene
-        settings = shown.settings_of(scene, split=False)
+        settings = shown.settings_of(scene, passes=())
         moved = (np.array(region_data.perspective_matrix).tobytes(), width, height, pixels)
         if self.preview is not None and settings != self.preview.settings:
             self.preview = None

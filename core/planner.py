@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from .memory import DEFAULT, LEAST_MEMORY
 from .scene import Scene, SceneError
 
 EXITS = ("auto", "points", "texels", "atlas")
@@ -53,7 +54,7 @@ class Settings:
     random numbers. entries, entry_rays, exit_rays, regions, panes, lamps, points, point_rays: budgets to use instead of
     the planner's; None leaves them to it. exits: where light is gathered, "points" or "texels"; "auto" takes points
     where they are cheaper; "atlas" gathers at points and spreads their panes to all texels, for engines. photons: of each
-    lamp that is not live, for its caustics.
+    lamp that is not live, for its caustics. memory: GiB that the bake may take beside what was there before it.
 
     Raises SceneError for values that make no sense.
     """
@@ -72,6 +73,7 @@ class Settings:
     point_rays: int | None = None
     exits: str = "auto"
     photons: int = 40_000
+    memory: float = DEFAULT
 
     def __post_init__(self):
         if not 1e-3 <= self.error_target <= 1:
@@ -80,6 +82,8 @@ class Settings:
             raise SceneError(f"The time budget is {self.time_budget} s; use 0 for none, or a positive number.")
         if not 16 <= self.resolution <= 8192:
             raise SceneError(f"The resolution is {self.resolution}; use 16 to 8192 texels.")
+        if not LEAST_MEMORY <= self.memory < 1e6:
+            raise SceneError(f"The memory is {self.memory} GiB; use {LEAST_MEMORY} or more.")
         if self.photons < 1:
             raise SceneError(f"Caustics have {self.photons} photons a lamp; use a positive number.")
         if self.exits not in EXITS:

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .memory import slices
+
 LIGHT_KINDS = ("POINT", "SPOT", "SUN", "AREA")
 AREA_SHAPES = ("SQUARE", "RECTANGLE", "DISK", "ELLIPSE")
 
@@ -248,12 +250,13 @@ class Scene:
             )
 
     def _drop_degenerate(self, cross):
-        # float64: the square of a small edge underflows float32 in millimetre scenes
-        area2 = np.linalg.norm(cross.astype(np.float64), axis=1)
-        edges = np.linalg.norm(
-            np.diff(self.positions[self.triangles][:, [0, 1, 2, 0]].astype(np.float64), axis=1), axis=2
-        )
-        keep = area2 > 1e-7 * edges.max(axis=1) ** 2
+        keep = np.empty(len(self.triangles), bool)
+        for s in slices(len(keep), 500):
+            # float64: the square of a small edge underflows float32 in millimetre scenes
+            area2 = np.linalg.norm(cross[s].astype(np.float64), axis=1)
+            corners = self.positions[self.triangles[s]].astype(np.float64)
+            edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+            keep[s] = area2 > 1e-7 * edges.max(axis=1) ** 2
         if keep.all():
             return
         if not keep.any():
@@ -264,8 +267,12 @@ class Scene:
 
     def triangle_cross(self, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
         """(n, 3) float32 of the triangles at `rows`, all if not given: geometric normal times twice the area."""
-        a, b, c = self.positions[self.triangles[rows].T]
-        return np.cross(b - a, c - a)
+        named = self.triangles[rows]
+        cross = np.empty((len(named), 3), np.float32)
+        for s in slices(len(named), 100):
+            a, b, c = self.positions[named[s].T]
+            cross[s] = np.cross(b - a, c - a)
+        return cross
 
     @property
     def extent(self) -> float:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from ..files import replacing
-from ..transfer import Begun, Transport
+from ..transfer import Begun, Links, Transport
 
 VERSION = 1
 """Of what the files hold: another number where the same scene and settings lead to other parts."""
@@ -34,6 +34,8 @@ def encode(part: object) -> dict[str, np.ndarray] | None:
         return {"number": np.float64(part)}
     if isinstance(part, Transport):
         return {"between": part.between, "sky": part.sky}
+    if isinstance(part, Links):
+        return dict(vars(part))
     if isinstance(part, Begun) and part.rows is not None:
         return {"rows": part.rows, "done": np.array(sorted(part.done), np.int64)}
     return None
@@ -50,10 +52,22 @@ def decode(arrays: dict[str, np.ndarray]) -> object:
         if between.dtype != np.float32 or between.ndim != 2 or len({*between.shape, len(sky)}) != 1:
             raise ValueError("not a transport")
         return Transport(between, sky)
+    if "far" in arrays:
+        return _links(**arrays)
     rows, done = arrays["rows"], arrays["done"]
     if rows.dtype != np.float32 or done.dtype != np.int64:
         raise ValueError("not a gather")
     return Begun(rows, set(done.tolist()))
+
+
+def _links(far, factor, starts, near, weight):
+    kinds = [np.float32, np.float32, np.int64, np.int32, np.float32]
+    held = [far, factor, starts, near, weight]
+    if [array.dtype for array in held] != kinds or [array.ndim for array in held] != [2, 1, 1, 1, 1]:
+        raise ValueError("not links")
+    if len(starts) != len(factor) + 1 or not len(near) == len(weight) == starts[-1] or far.shape[0] != far.shape[1]:
+        raise ValueError("not links")
+    return Links(*held)
 
 
 class Cache:

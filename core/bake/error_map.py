@@ -6,6 +6,7 @@ import base64
 
 import numpy as np
 
+from ..memory import slices
 from ..panes.regions import features
 from ..surface import Texels
 from .verdict import Verdict
@@ -19,19 +20,25 @@ COLOURS = np.array(
 """Linear colours from no error, over half the target, the target and twice that, to four times it."""
 
 
-def error_map(verdict: Verdict, texels: Texels, extent: float) -> np.ndarray:
-    """(n, n) float32 relative error of each tile of the atlas, row 0 at v = 0, −1 where a tile has no texel.
+def error_map(verdict: Verdict, texels: Texels, extent: float, kept: np.ndarray | slice = slice(None)) -> np.ndarray:
+    """(n, n) float32 relative error of each tile of the atlas, row 0 at v = 0, −1 where a tile has no texel. kept: rows of
+    the texels that count.
 
     A tile takes after the blocks that are near it in place and normal: its squared error is their mean, weighted by
     distance to the power −6.
     """
     size = texels.resolution
     side = min(TILES, size)
-    tile = (texels.index // size * side // size) * side + texels.index % size * side // size
-    names, tile = np.unique(tile, return_inverse=True)
-    count = np.bincount(tile)[:, None]
-    own = features(texels.samples.position, texels.samples.flat, extent)
-    middle = np.stack([np.bincount(tile, column) for column in own.T], 1) / count
+    index, samples = texels.index[kept], texels.samples
+    rows = np.arange(len(texels), dtype=np.int32)[kept]
+    total, count = np.zeros((side * side, 6)), np.zeros(side * side)
+    for s in slices(len(rows), 200):
+        tile = (index[s] // size * side // size) * side + index[s] % size * side // size
+        own = features(samples.position[rows[s]], samples.flat[rows[s]], extent)
+        total += np.stack([np.bincount(tile, column, side * side) for column in own.T], 1)
+        count += np.bincount(tile, minlength=side * side)
+    names = np.flatnonzero(count)
+    middle = total[names] / count[names, None]
     known = features(verdict.places, verdict.normals, extent)
     apart = ((middle[:, None] - known) ** 2).sum(axis=2)
     weight = 1 / np.maximum(apart, 1e-6) ** 3

@@ -72,7 +72,8 @@ class Bake:
         else:
             bits = weight_bits(len(panes.rows))
             meta = {**meta, "bits": bits}
-            table = encode(panes.shown, bits) * np.where(panes.own, 1, -1).astype(np.float32)[:, None]
+            table = encode(panes.shown, bits)
+            table[~panes.own] *= -1
             atlas, table, steady = panes.rows, table.reshape(size, size, -1), panes.steady
         weights = panes.weights
         parts = [weights.first, weights.spread, weights.later, weights.field]

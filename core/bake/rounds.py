@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..footprint import within
 from ..planner import Budget, Judged, Settings, Took, fit, needs_panes, part_of, plan, refine
 from ..scene import Light, Scene
 from .clock import Clock
 from .kept import Kept
-from .steps import KEPT_BACK, Prepared, Surfaces, find_surfaces, prepare_with, time_left
+from .steps import KEPT_BACK, Prepared, Surfaces, find_surfaces, prepare_with, time_left, transport_parts
 from .verdict import judge
 
 ROUNDS = 5
@@ -37,7 +38,7 @@ def settle(scene: Scene, settings: Settings, clock: Clock, kept: Kept) -> Settle
     """Run all stages up to the exits' gather, with the least budgets that meet the error target, or the largest that fit
     into the time. Raises SceneError for scenes that cannot be baked."""
     surfaces = find_surfaces(scene, settings, clock)
-    budget = plan(scene, settings)
+    budget = _within(plan(scene, settings), settings, surfaces)
     given = settings.entries is not None or not needs_panes(scene)
     if given and not settings.time_budget:
         return Settled(prepare_with(surfaces, settings, budget, clock, kept), "given", [])
@@ -64,7 +65,7 @@ def settle(scene: Scene, settings: Settings, clock: Clock, kept: Kept) -> Settle
         made.budget = replace(made.budget, exit_rays=budget.exit_rays, point_rays=budget.point_rays)
         return Settled(made, "given" if better == wanted else "time", [])
     for _ in range(ROUNDS):
-        wanted = refine(settings, judged, surfaces.at_points)
+        wanted = _within(refine(settings, judged, surfaces.at_points), settings, surfaces)
         if wanted.entries <= made.budget.entries:
             break
         better = _in_time(wanted, settings, took, places, clock)
@@ -72,7 +73,7 @@ def settle(scene: Scene, settings: Settings, clock: Clock, kept: Kept) -> Settle
             made.budget = replace(made.budget, exit_rays=wanted.exit_rays)
             return Settled(made, "time", judged)
         before, traced = dict(clock.seconds), dict(clock.traced)
-        kept.drop(f"transport {made.budget.entries}", f"lamps {made.budget.entries}")
+        kept.drop(*transport_parts(made.budget.entries))
         rays = wanted.exit_rays, wanted.point_rays, wanted.points
         better = replace(better, exit_rays=rays[0], point_rays=rays[1], points=rays[2])
         made, found = _try(surfaces, settings, better, clock, kept, made.test_lamps)
@@ -87,6 +88,11 @@ def settle(scene: Scene, settings: Settings, clock: Clock, kept: Kept) -> Settle
     last = judged[-1]
     met = last.error**2 - last.noise**2 <= settings.error_target**2
     return Settled(made, "error" if met else "most", judged)
+
+
+def _within(budget: Budget, settings: Settings, surfaces: Surfaces) -> Budget:
+    """As much of a budget as there is memory for."""
+    return within(budget, settings, len(surfaces.scene.triangles), surfaces.at_points)
 
 
 def _try(

@@ -7,14 +7,15 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
+from ..footprint import refusal
+from ..memory import allowing
 from ..panes import Panes
 from ..panes.exits import gather_panes, joined, smooth_panes
 from ..panes.regions import region_of
 from ..panes.trust import concentration
 from ..planner import MOST_ENTRIES, Settings, more_points
-from ..point_cache import Weights
 from ..rays import CHUNK
-from ..scene import Scene
+from ..scene import Scene, SceneError
 from ..transfer import Begun
 from .check import compression_error, gather_noise, interpolation_error
 from .clock import Clock, Progress
@@ -23,7 +24,7 @@ from .fresh_light import entry_fields
 from .kept import Cancelled, Kept
 from .record import Bake, point_arrays
 from .rounds import settle
-from .steps import Prepared, in_time
+from .steps import Prepared, in_time, transport_parts
 from .stored import Stored, bake_points, spread_to_texels
 from .verdict import Verdict, judge, shown_by_points, shown_by_texels
 
@@ -57,10 +58,13 @@ def bake(
     """
     settings = settings or Settings()
     kept = Kept() if kept is None or settings.time_budget else kept
+    if sentence := refusal(scene, settings):
+        raise SceneError(sentence)
     kept.open(scene, settings)
     clock = Clock(progress, kept.seconds, kept.reached, spent)
     try:
-        result = kept.part("bake", lambda: _bake(scene, settings, clock, kept))
+        with allowing(settings.memory):
+            result = kept.part("bake", lambda: _bake(scene, settings, clock, kept))
     except Cancelled:
         kept.seconds, kept.reached = clock.earlier + clock.spent, clock.reached
         kept.save()
@@ -80,7 +84,7 @@ def _bake(scene, settings, clock, kept):
         entry_fields(settled.made)
     # a copy: what follows changes it
     made = replace(settled.made)
-    kept.drop(f"transport {made.budget.entries}", f"lamps {made.budget.entries}")
+    kept.drop(*transport_parts(made.budget.entries))
     seed = settings.seed
     parts = {}
     if made.test_direct is not None:
@@ -158,8 +162,8 @@ def _bake(scene, settings, clock, kept):
         points = point_arrays(stored.points, region_of(stored.starts), scene.triangle_object)
     meta = {"report": report, "seed": seed}
     if verdict is not None and len(made.exits):
-        texels = made.exits if not at_points else made.exits.keep(np.flatnonzero(~stored.texels.orphan))
-        meta["error_map"] = encode(error_map(verdict, texels, scene.extent))
+        kept = slice(None) if not at_points else np.flatnonzero(~stored.texels.orphan)
+        meta["error_map"] = encode(error_map(verdict, made.exits, scene.extent, kept))
     result = Bake.from_panes(panes, first_hit, meta, points)
     report["bytes"] = result.bytes
     if clock.progress is not None:
@@ -238,14 +242,11 @@ def _atlas(made: Prepared, rows: np.ndarray, starts: np.ndarray, beside: np.ndar
 
 def _at_points(made: Prepared, stored: Stored) -> tuple[Panes, np.ndarray | None]:
     """Panes whose exits are points, and the first hit of sky and faces, (H, W, 3)."""
-    kept = np.flatnonzero(~stored.texels.orphan)
-    exits = made.exits.keep(kept)
-    fill = exits.fill()
+    exits, kept = made.exits, np.flatnonzero(~stored.texels.orphan)
+    fill = exits.fill(kept)
     own = np.zeros(len(fill), bool)
-    own[exits.index] = True
-    served = stored.texels.take(kept)
-    # −1 takes the row after the last, which nothing serves
-    shown = Weights(*(np.pad(v, ((0, 1), (0, 0)))[fill] for v in (served.point, served.weight)))
+    own[exits.index[kept]] = True
+    shown = stored.texels.named(fill)
     panes = _panes(made, stored.rows, stored.starts, shown=shown, own=own, vertices=stored.vertices)
     first_hit = None
     if made.has_first_hit:

@@ -8,13 +8,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..caustics import casters
+from ..footprint import balanced, takes_points
 from ..panes.entry_light import EntryLight, EntrySurface
 from ..panes.held_out import held_out_lamps
 from ..panes.modes import Modes, learn_modes, training_fields
 from ..panes.regions import features, make_regions, nearest, rooms, signature, split_regions, starts_of
 from ..panes.training import illuminate, training_lamps
 from ..panes.weights import PaneWeights, make_weights
-from ..planner import Budget, Settings, limit_rays, needs_panes, plan, uses_points
+from ..planner import Budget, Settings, limit_rays, needs_panes, plan
 from ..rays import Bvh, Tracer
 from ..scene import Light, Scene
 from ..surface import Patches, SurfaceSamples, Texels, Vertices, cut_patches, make_patches, make_texels, make_vertices
@@ -25,7 +26,7 @@ from ..transfer import (
     Transport,
     find_elements,
     find_entries,
-    make_element_transport,
+    link_elements,
     make_gatherer,
     make_piece_gatherer,
     make_transport,
@@ -38,17 +39,6 @@ from .steady import piece_excess, sky_bins, static_caustics, static_light, stead
 
 PILOTS = 32_768
 """Texels, about, whose rays find the entries where points are the exits."""
-
-MOST_ENTRIES = 4096
-"""Entries between which light is balanced, at most: matrices are of their square. Where more are asked for, they are
-elements of so many."""
-
-ELEMENTS_PAY = 2.45
-"""Entries asked for over MOST_ENTRIES up to which all are balanced with each other: far light is as coarse as entries, not
-as their elements, so the planner's own bakes do without."""
-
-ELEMENTS = 6
-"""Elements of an entry above which there are more entries after all: near entries have the square of it in pairs."""
 
 KEPT_BACK = 0.85
 """Part of the time left that is planned for: the check comes last, and machines have other things to do."""
@@ -150,11 +140,16 @@ def find_surfaces(scene: Scene, settings: Settings, clock: Clock) -> Surfaces:
     """The surfaces, and whether exits are points. Raises SceneError for scenes that cannot be baked."""
     clock.start("Surfaces")
     texels, vertices = make_texels(scene, settings.resolution), make_vertices(scene)
-    at_points = uses_points(settings, plan(scene, settings), len(texels), len(vertices))
+    at_points = takes_points(settings, plan(scene, settings), len(scene.triangles), len(texels), len(vertices))
     focusing = casters(scene)
     # what focuses a lamp's light casts a shadow of it
     tracer = Tracer(scene, solid=None if focusing is None else focusing.triangles)
     return Surfaces(scene, texels, vertices, tracer, at_points, settings.resolution, focusing is not None)
+
+
+def transport_parts(entries: int) -> tuple[str, ...]:
+    """Names of the kept parts that nothing needs once a bake is prepared."""
+    return f"transport {entries}", f"links {entries}", f"lamps {entries}"
 
 
 def time_left(settings: Settings, clock: Clock) -> float:
@@ -179,10 +174,10 @@ def prepare_with(
     warnings = list(scene.warnings)
     clock.start("Entries")
     # without live lamps pieces of entries tell them apart
-    finely = budget.entries > ELEMENTS_PAY * MOST_ENTRIES
-    patches = make_patches(scene, _balanced(budget.entries) if finely else budget.entries, seed)
+    count = balanced(budget.entries, settings.memory)
+    patches = make_patches(scene, count, seed)
     finer = None
-    if finely and needs_panes(scene):
+    if count < budget.entries and needs_panes(scene):
         finer, patches, owner = cut_patches(scene, patches, budget.entries, seed)
     bvh = Bvh(patches.corners)
     # points need not ask of each texel: those that a point serves are not buried
@@ -207,13 +202,15 @@ def prepare_with(
 
     clock.start("Transport", (len(whole[0]) + (0 if elements is None else len(elements))) * budget.entry_rays)
 
-    def transport_of():
-        found = make_transport(*whole, budget.entry_rays, seed, clock.tick)
-        if elements is None:
-            return found
-        return make_element_transport(whole[0], elements, found, gatherer, budget.entry_rays, seed, clock.tick)
-
-    transport = kept.part(f"transport {budget.entries}", transport_of)
+    transport = kept.part(
+        f"transport {budget.entries}", lambda: make_transport(*whole, budget.entry_rays, seed, clock.tick)
+    )
+    if elements is not None:
+        links = kept.part(
+            f"links {budget.entries}",
+            lambda: link_elements(whole[0], elements, transport, gatherer, budget.entry_rays, seed, clock.tick),
+        )
+        transport = ElementTransport(elements, transport, links)
 
     places = entries.places
     surface = EntrySurface.of(entries, patches, places, tracer.offset)
@@ -290,11 +287,6 @@ def _focused(surfaces: Surfaces, surface: EntrySurface, settings: Settings, cloc
     seconds = FOCUSING * time_left(settings, clock) if settings.time_budget else np.inf
     given = surfaces.scene, surface, surfaces.resolution, surfaces.tracer, settings.seed, settings.photons
     return static_caustics(*given, tell, seconds)
-
-
-def _balanced(elements: int) -> int:
-    """Entries of which there are so many elements."""
-    return round(MOST_ENTRIES * max(1.0, elements / (ELEMENTS * MOST_ENTRIES)) ** 0.5)
 
 
 def in_time(made: Prepared, settings: Settings, clock: Clock, rays: str, places: int) -> None:

@@ -53,7 +53,7 @@ def sharpen(forest: Forest, photons: float) -> bool:
 
 
 def pieces(
-    forest: Forest, values: np.ndarray, corner: np.ndarray, share: np.ndarray, sharp: np.ndarray
+    forest: Forest, values: np.ndarray, corner: np.ndarray, share: np.ndarray, sharp: np.ndarray, lead: int = 2
 ) -> tuple[np.ndarray, np.ndarray]:
     """What each way that lands has of quads whose corners differ: (4, m, 2 + c) vertices, the first of which is a photon
     on the way, and (m,) rows of those photons.
@@ -66,12 +66,12 @@ def pieces(
     # beside[a]: whether the neighbour along side a went the same way
     beside = [signature == signature[:, np.arange(4) ^ side] for side in (1, 2)]
     across = signature == signature[:, ::-1]
-    reach, end = _ends(forest, values, corner, lands, beside, sharp)
+    reach, end = _ends(forest, values, corner, lands, beside, sharp, lead)
     own = values[corner]
     beams, rows = [], []
 
     def add(quad, k, places, vertices):
-        beams.append(_beam(places, vertices, share[quad]))
+        beams.append(_beam(places, vertices, share[quad], lead))
         rows.append(corner[quad, k])
 
     for k in range(4):
@@ -109,7 +109,7 @@ def pieces(
     return np.concatenate(beams, axis=1), np.concatenate(rows)
 
 
-def _beam(places, vertices, share):
+def _beam(places, vertices, share, lead):
     """(4, m, 2 + c) vertices, their powers times the part of the square that they stand for.
 
     places: four (m, 2) of the vertices in their quad. A bilinear map is denser at one end than at the other, by a
@@ -124,11 +124,11 @@ def _beam(places, vertices, share):
         )
     ]  # fmt: skip
     beam = np.stack(vertices)
-    beam[:, :, 2:] *= (np.abs(np.stack(cross)) * share).astype(np.float32)[:, :, None]
+    beam[:, :, lead:] *= (np.abs(np.stack(cross)) * share).astype(np.float32)[:, :, None]
     return beam
 
 
-def _ends(forest, values, corner, lands, beside, sharp):
+def _ends(forest, values, corner, lands, beside, sharp, lead):
     """How far along both sides each corner's way goes, (q, 4, 2) float32 in parts of the side, and what a photon at its end
     would bring, (q, 4, 2, 2 + c); where the neighbour went the same way neither is set."""
     reach = np.zeros((len(corner), 4, 2), np.float32)
@@ -156,7 +156,8 @@ def _ends(forest, values, corner, lands, beside, sharp):
     step = (values[low] - values[before]) * part
     found += step
     # the way's power may rise or fall steeply towards its end, but not below nothing
-    found[:, 2:] = np.clip(found[:, 2:], 0, RISE * values[low, 2:])
+    found[:, lead:] = np.clip(found[:, lead:], 0, RISE * values[low, lead:])
+    found[:, 2:lead] = values[low, 2:lead]
     reach[quad, k, a], end[quad, k, a], told[quad, k, a] = at, found, known
     # a photon all of whose neighbours went elsewhere: as wide as others, so that it is no speck
     free = lands[:, :, None] & ~np.stack(beside, 2)

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..scene import Light
 from .borders import sharpen
 from .deposit import deposit
-from .emission import Emitter, emitters, is_soft
-from .families import families, followed
+from .emission import is_soft
 from .landings import Landings, landings_of, none
+from .planting import Tree, plant, points_of
 from .quadtree import Forest, Photons
 from .receivers import Receivers
+from .softness import Cells, Softness, slopes, worst_alike
 from .splat import SAMPLES
 from .surfaces import Surfaces
 from .tracing import trace
@@ -28,17 +29,11 @@ BASE = 0.2
 PASSES = 5
 """In which the rest refines the worst patches."""
 
-SOFT = 16
-"""Points of a soft lamp; more where there are photons for them."""
-
 SHARPEN = 0.1
 """Part of the photons that finds the borders across the patches which are left divided."""
 
 NEW = 10
 """New photons of a refined patch, about; it has sixteen, some of them its neighbours' too."""
-
-FEWER = 4
-"""Points of a soft lamp for one from which weaker families start."""
 
 WHOLE = 200_000
 """Photons up to which a lamp's patches are kept together; more are traced part by part."""
@@ -48,9 +43,6 @@ PART = 200_000
 
 LEAST_GRIDS = 0.5
 """Part of the photons that the coarsest grids of all points and objects may take together: the rest refines."""
-
-PER_POINT = 2_500
-"""Photons a point of a soft lamp, about."""
 
 
 GRAZING = 0.4
@@ -73,16 +65,6 @@ class Energy:
     untraced: float
 
 
-@dataclass(frozen=True)
-class Tree:
-    """A square of photons: a point of the lamp towards an object, and the family of paths that they follow."""
-
-    emitter: Emitter
-    caster: int
-    family: int
-    unfollowed: np.ndarray
-
-
 class LampCaustics:
     """What a lamp's photons have brought so far; `advance` goes on.
 
@@ -102,6 +84,7 @@ class LampCaustics:
         self._surfaces, self._receivers, self._seed, self._threads = surfaces, receivers, seed, threads
         self._forest: Forest | None = None
         self._trees: list[Tree] = []
+        self._cells: Cells | None = None
         self._power: np.ndarray | None = None
         self._lit: np.ndarray | None = None
         # photons of parts that are done, and all power with theirs
@@ -127,7 +110,7 @@ class LampCaustics:
         self._plant(1, FIRST)
         yield
         if soft and self._trees:
-            points = int(np.clip(self.photons // PER_POINT, 4, 256))
+            points = points_of(self.photons)
             # with many objects fewer points of the lamp: each of the trees so far is to stand at every point
             points = min(points, int(LEAST_GRIDS * self.photons / (_grid(1) * len(self._trees))))
             if points > 1:
@@ -157,9 +140,13 @@ class LampCaustics:
         forest, scores = self._forest, self._forest.scores().astype(np.float64)
         power, budget = self.power(), self.photons - self.used
         parts = int(np.ceil(budget / PART))
-        # neighbours together, as much to do in each
-        bounds = np.searchsorted(np.cumsum(scores), scores.sum() * np.arange(1, parts) / parts)
-        for rows in np.split(np.arange(len(forest)), np.unique(bounds)):
+        # neighbours together, and those of all points alike; as much to do in each
+        names = forest.names(self._group)
+        order = np.argsort(names, kind="stable") if self._cells else np.arange(len(forest))
+        bounds = np.searchsorted(np.cumsum(scores[order]), scores.sum() * np.arange(1, parts) / parts)
+        if self._cells:
+            bounds = np.searchsorted(names[order], names[order[np.minimum(bounds, len(order) - 1)]])
+        for rows in np.split(order, np.unique(bounds)):
             share = budget * scores[rows].sum() / max(scores.sum(), 1e-300)
             if share < 16:
                 continue
@@ -169,10 +156,7 @@ class LampCaustics:
                 left = share - (len(part.photons) - before)
                 if not self._refine_worst(part, left / (PASSES - step)):
                     break
-            fine, coarse = (
-                deposit(f, r, self._receivers, SAMPLES, self._threads)
-                for f, r in ((part, np.arange(len(part))), (forest, rows))
-            )
+            fine, coarse = (self._deposit(f, r, SAMPLES) for f, r in ((part, np.arange(len(part))), (forest, rows)))
             power = power + (fine - coarse)
             self._used += len(part.photons) - before
             self._parted = power
@@ -186,8 +170,8 @@ class LampCaustics:
             self._power = np.zeros((self._receivers.resolution**2, self._surfaces.channels))
             if self._trees:
                 rows = np.arange(len(self._forest))
-                samples = SAMPLES if self.done else SAMPLES / 8
-                self._power = deposit(self._forest, rows, self._receivers, samples, self._threads)
+                samples = SAMPLES if self.done else SAMPLES / 6
+                self._power = self._deposit(self._forest, rows, samples)
         return self._power
 
     def irradiance(self) -> np.ndarray:
@@ -219,31 +203,13 @@ class LampCaustics:
 
     def _plant(self, points: int, photons: float) -> None:
         """Trees for so many points of the lamp, on grids with about so many photons in all."""
-        surfaces = self._surfaces
-        self._trees = []
-        for caster in surfaces.casters:
-            places = surfaces.bounding(caster, self.light)
-            squares = emitters(self.light, places, points, self._seed, surfaces.extent)
-            if len(squares) > 1:
-                # grids of different points must not fall onto one another, or their coarseness shows
-                squares = [square.shifted(k, self._seed) for k, square in enumerate(squares)]
-            if not squares:
-                continue
-            chosen = families(surfaces, squares[len(squares) // 2], int(caster), self._seed)
-            unfollowed = followed(chosen)
-            for k, family in enumerate(chosen):
-                # the weaker ways from a quarter of the points, each of which gets as many photons more
-                step = FEWER if family and len(squares) >= 4 * FEWER else 1
-                some = squares[step // 2 :: step]
-                part = len(squares) / len(some)
-                self._trees += [
-                    Tree(replace(square, share=square.share * part), int(caster), int(family), unfollowed[k])
-                    for square in some
-                ]
+        self._trees, self._cells = plant(self._surfaces, self.light, points, self.photons, self._seed)
         self._power = None
         if not self._trees:
             self._forest = None
             return
+        self._group = np.array([t.group for t in self._trees], np.int64)
+        self._cell = np.array([t.cell for t in self._trees], np.int64)
         self._family = np.array([t.family for t in self._trees], np.int64)
         self._caster = np.array([t.caster for t in self._trees], np.int32)
         self._unfollowed = np.stack([t.unfollowed for t in self._trees], 1)
@@ -260,14 +226,23 @@ class LampCaustics:
 
     def _refine_worst(self, forest: Forest, photons: float) -> bool:
         """Refine the patches with the highest scores by about so many photons; False where there is nothing to do."""
-        scores = forest.scores()
-        rows = np.argsort(-scores, kind="stable")[: max(0, int(photons / NEW))]
-        rows = rows[scores[rows] > 0]
+        scores, count = forest.scores(), max(0, int(photons / NEW))
+        if self._cells is None:
+            rows = np.argsort(-scores, kind="stable")[:count]
+            rows = rows[scores[rows] > 0]
+        else:
+            rows = worst_alike(forest, scores, self._group, count)
         if not len(rows):
             return False
         forest.refine(rows)
         self._power = None
         return True
+
+    def _deposit(self, forest, rows, samples):
+        soft = None
+        if self._cells is not None:
+            soft = Softness(slopes(forest, self._group, self._cells.point[self._cell]), self._cell, self._cells.offset)
+        return deposit(forest, rows, self._receivers, samples, soft)
 
     def _sharpen(self, forest: Forest, photons: float) -> None:
         """Find the borders across patches whose photons differ, with about so many photons."""

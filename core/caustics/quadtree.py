@@ -218,6 +218,14 @@ class Forest:
         # a coordinate below 0 makes a key that no photon has
         return self._find(2 * self._key[other] - self._key[one])
 
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Two (n,) int64 of the photons: the tree that each is on, and the name of its place in that tree's square."""
+        return self._key >> 2 * BITS, self._key & (1 << 2 * BITS) - 1
+
+    def names(self, group: np.ndarray) -> np.ndarray:
+        """(p,) int64, the same for patches at the same place of trees with the same number in `group`, (trees,) int."""
+        return _key(group[self.tree].astype(np.int64), self.x.astype(np.int64), self.y.astype(np.int64))
+
     def weights(self) -> np.ndarray:
         """(n,) float64: the part of its square that each photon stands for; all of a tree sum up to 1."""
         beams, _ = self.kinds()

@@ -6,10 +6,9 @@ from functools import cache
 
 import numpy as np
 
-from ..sampling import GOLDEN
-from ..threads import in_threads
+from ..sampling import GOLDEN, hash_uint32
 
-SAMPLES = 8.0
+SAMPLES = 6.0
 """Sub-samples for each texel of the atlas, about, that all patches together get on top of the fewest that they need."""
 
 FEWEST, MOST = 1.0, 16.0
@@ -18,10 +17,10 @@ FEWEST, MOST = 1.0, 16.0
 ROUGH = 0.5
 """The same of patches that photons of several ways make, which are many and on top of each other."""
 
-DIM = 0.02
+DIM = 0.04
 """Of the mean irradiance: dimmer patches do with fewer sub-samples, each of which brings a texel no more than that."""
 
-SPARSE = 0.25
+SPARSE = 0.12
 """The fewest even of those."""
 
 SIDES = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128])
@@ -33,9 +32,6 @@ LONGEST = 128.0
 BATCH = 32_768
 """Sub-samples that are spread together, at least."""
 
-ROOM = 1 << 26
-"""Bytes for what is spread but not summed yet, where two such sums are no more."""
-
 _F = np.float32
 
 
@@ -44,23 +40,26 @@ def box_samples(sums, x, y, wide, high, power, size: int) -> None:
 
     x, y: (n,) float32 middles, in texels. wide, high: (n,) float32 extents, in (0, 1] texel. power: (c, n) float32.
     """
-    for target, value in zip(sums.T, _spread(x, y, wide, high, power, size), strict=True):
+    for target, value in zip(sums.T, _spread(_shares(x, wide, size), _shares(y, high, size), power, size), strict=True):
         target += value
 
 
-def _spread(x, y, wide, high, power, size):
+def _spread(columns, rows, power, size):
     """c arrays of (size²,) float64."""
-    column, right = _shares(x, wide, size)
-    row, above = _shares(y, high, size)
-    at = row * size + column
-    # the last column's and row's right and upper neighbours get nothing, by their share
-    texel = np.concatenate([at, at + 1, at + size, at + size + 1])
-    left, below = 1 - right, 1 - above
-    share = np.concatenate([left * below, right * below, left * above, right * above])
+    (column, right), (row, above) = columns, rows
+    at, texels = row * size + column, size * size
     total = []
     for channel in power:
-        weight = (share.reshape(4, -1) * channel).reshape(-1)
-        total.append(np.bincount(texel, weight, size * size + size + 1)[: size * size])
+        on_right = channel * right
+        on_left = channel - on_right
+        upper_right, upper_left = on_right * above, on_left * above
+        sums = np.zeros(texels + size + 1)
+        # one index for all four, moved afterwards; the last column's and row's neighbours get nothing, by their share
+        sums[:texels] = np.bincount(at, on_left - upper_left, texels)
+        sums[1 : texels + 1] += np.bincount(at, on_right - upper_right, texels)
+        sums[size : texels + size] += np.bincount(at, upper_left, texels)
+        sums[size + 1 :] += np.bincount(at, upper_right, texels)
+        total.append(sums[:texels])
     return total
 
 
@@ -68,10 +67,10 @@ def _shares(place, extent, size):
     """First texel of boxes along one axis, int64, and the part of them in the next, float32."""
     low = place - extent * _F(0.5)
     first = np.floor(low)
-    part = np.clip((low + extent - first - 1) / np.maximum(extent, _F(1e-6)), 0, 1)
+    part = (low + extent - first - 1) / np.maximum(extent, _F(1e-6))
+    np.minimum(np.maximum(part, 0, out=part), 1, out=part)
     index = first.astype(np.int64)
-    beyond = (index < 0) | (index >= size - 1)
-    if beyond.any():
+    if len(first) and (first.min() < 0 or first.max() >= size - 1):
         part = np.where(index < 0, 1, np.where(index >= size - 1, 0, part)).astype(np.float32)
         # a box below the first texel lies in it whole
         index = np.where(index < 0, 0, np.minimum(index, size - 1))
@@ -95,24 +94,38 @@ _QUARTERS = np.concatenate([_weights(np.arange(3) / 4 + i, np.arange(3) / 4 + j)
 """(36, 9): a quarter's vertices from its patch's, one quarter after another."""
 
 
-def _lengths(patches):
-    """Two lists of (2 or 3, m, 2) squared steps between vertices along each side, and two (m,) lengths, texels."""
-    grid = patches[:, :, :2].reshape(3, 3, -1, 2)
-    squares = [step * step for step in (grid[1:] - grid[:-1], grid[:, 1:] - grid[:, :-1])]
-    return squares, [2 * np.sqrt(square.sum(axis=-1).max(axis=(0, 1))) for square in squares]
+def _steps(patches):
+    """(2, 2, m) mean squared steps between the vertices of patches (9, m, …) along each side, in x and y; (2, m) lengths of
+    the sides, texels."""
+    grid = np.ascontiguousarray(patches[:, :, :2].transpose(2, 0, 1)).reshape(2, 3, 3, -1)
+    m = grid.shape[3]
+    mean, lengths = np.empty((2, 2, m), np.float32), np.empty((2, m), np.float32)
+    for side, step in enumerate((grid[:, 1:] - grid[:, :-1], grid[:, :, 1:] - grid[:, :, :-1])):
+        step *= step
+        step = step.reshape(2, 6, m)
+        mean[side] = step.mean(axis=1)
+        lengths[side] = 2 * np.sqrt((step[0] + step[1]).max(axis=0))
+    return mean, lengths
 
 
-def divided(patches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same patches, those longer than LONGEST as their quarters: (9, k, 2 + c), and (k,) rows of what each is part of."""
-    row = np.arange(patches.shape[1])
+def divided(patches: np.ndarray, lead: int = 2) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The same patches, those longer than LONGEST as their quarters: (9, k, 2 + c), and (k,) rows of what each is part of;
+    and their steps and lengths (see `_steps`)."""
+    row, kept = np.arange(patches.shape[1]), []
     while True:
-        long = np.maximum(*_lengths(patches)[1]) > LONGEST
+        steps, lengths = _steps(patches)
+        long = lengths.max(axis=0) > LONGEST
         if not long.any():
-            return patches, row
+            kept.append((patches, row, steps, lengths))
+            break
+        short = ~long
+        kept.append((patches[:, short], row[short], steps[:, :, short], lengths[:, short]))
         parts = (_QUARTERS @ patches[:, long].reshape(9, -1)).reshape(4, 9, -1, patches.shape[2])
-        parts[..., 2:] *= _F(0.25)
-        patches = np.concatenate([patches[:, ~long], *parts], axis=1)
-        row = np.concatenate([row[~long], *4 * [row[long]]])
+        parts[..., lead:] *= _F(0.25)
+        patches, row = np.concatenate([*parts], axis=1), np.concatenate(4 * [row[long]])
+    if len(kept) == 1:
+        return kept[0]
+    return tuple(np.concatenate([k[i] for k in kept], axis=axis) for i, axis in enumerate((1, 0, 2, 1)))
 
 
 def splat(
@@ -121,7 +134,7 @@ def splat(
     rough: np.ndarray,
     receivers,
     samples: float = SAMPLES,
-    threads: int | None = None,
+    soft: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:
     """(size², c) float64 W that patches bring to each texel.
 
@@ -129,32 +142,37 @@ def splat(
     like it. chart: (m,) int32 of each patch, on which its samples are kept. rough: (m,) bool, see `counts`. samples: for
     each texel, about.
     """
-    size = receivers.resolution
-    total = np.zeros((patches.shape[2] - 2, size * size))
+    size, lead = receivers.resolution, 2 if soft is None else 6
+    total = np.zeros((patches.shape[2] - lead, size * size))
     if not patches.shape[1]:
         return total.T
     # near a chart's border samples are drawn towards their patch's first photon, which is on it
     home = patches[0, :, :2]
-    patches, row = divided(patches)
+    patches, row, steps, lengths = divided(patches, lead)
     home, chart, rough = home[row].T, chart[row], rough[row]
-    squares, lengths = _lengths(patches)
-    power = patches[4, :, 2:].mean(axis=1)
+    power = patches[4, :, lead:].mean(axis=1)
+    if soft is not None:
+        cell, offset = soft[0][row], soft[1]
+        # of the middle's places for all of the cell, along x and y
+        spread = (offset**2).mean(axis=1)[cell].T
+        disk = spread[0] * patches[4, :, 2:4].T ** 2 + spread[1] * patches[4, :, 4:6].T ** 2
+        lengths = np.sqrt(lengths**2 + 6 * disk.sum(axis=0))
     # a picture on the way, of few samples, may show them
     dim = DIM * max(SAMPLES / samples, 1.0) * float(power.sum(dtype=np.float64)) / size**2
     across, along = counts(lengths, power, rough, samples * size * size, dim)
     # how far neighbouring samples are apart, along x and y: as wide a box has their parallelogram's variance
-    variance = sum(
-        square.mean(axis=(0, 1)) * (4 / (n * n))[:, None].astype(np.float32)
-        for square, n in zip(squares, (across, along), strict=True)
-    )
+    variance = sum(step * (4 / (n * n)).astype(np.float32) for step, n in zip(steps, (across, along), strict=True))
+    if soft is not None:
+        variance += 12 * disk / (across * along).astype(np.float32)
     order = np.lexsort((along, across))
     across, along = across[order], along[order]
     # one number after another: the samples of all patches of a size are one product
     values = np.ascontiguousarray(patches.transpose(0, 2, 1)[:, :, order])
-    extent = np.clip(np.sqrt(variance), 1e-3, 1)[order]
+    wide, high = np.clip(np.sqrt(variance), 1e-3, 1)[:, order]
     starts = np.flatnonzero(np.append(True, (np.diff(across) != 0) | (np.diff(along) != 0)))
     ends = np.append(starts[1:], len(order))
     home, chart = home[:, order], chart[order]
+    places = None if soft is None else (cell[order], offset)
     # as many samples together as make the sum over all texels cheap, at a hundred bytes each
     batch = max(BATCH, size * size // 4)
     tasks, task, count = [], [], 0
@@ -173,18 +191,14 @@ def splat(
         tasks.append(task)
 
     def run(task):
-        parts = [_samples(values[:, :, part], na, nb, part.start) for na, nb, part in task]
+        parts = [_samples(values[:, :, part], na, nb, part.start, places) for na, nb, part in task]
         x, y, patch = (np.concatenate([p[k] for p in parts]) for k in range(3))
-        wide, high = extent[patch].T
-        kept = _kept(x, y, wide, high, patch, home, chart, receivers)
-        return _spread(*kept, np.concatenate([p[3] for p in parts], axis=1), size)
+        columns, rows = _kept(x, y, wide.take(patch), high.take(patch), patch, home, chart, receivers)
+        return _spread(columns, rows, np.concatenate([p[3] for p in parts], axis=1), size)
 
-    # a few at a time, for each result is as large as the atlas; summed in order, whichever is ready first
-    group = int(np.clip(ROOM // total.nbytes, 2, 8))
-    for start in range(0, len(tasks), group):
-        for part in in_threads(run, tasks[start : start + group], threads):
-            for target, value in zip(total, part, strict=True):
-                target += value
+    for task in tasks:
+        for target, value in zip(total, run(task), strict=True):
+            target += value
     return total.T
 
 
@@ -209,50 +223,63 @@ def counts(lengths, power: np.ndarray, rough: np.ndarray, budget: float, dim: fl
     return tuple(SIDES[np.minimum(np.searchsorted(SIDES, length * rate * 0.999), len(SIDES) - 1)] for length in lengths)
 
 
-def _samples(values, na, nb, first):
+def _samples(values, na, nb, first, soft):
     """x, y (n,), patch (n,) and power (c, n) of the sub-samples of patches that have na × nb of them each."""
     columns, m = values.shape[1:]
     found = biquadratic(na, nb) @ values.reshape(9, -1)
     found = found.reshape(na * nb, columns, m).transpose(1, 0, 2)
     patch = np.tile(np.arange(first, first + m), na * nb)
     # a parabola between photons may dip below nothing
-    power = np.maximum(found[2:].reshape(columns - 2, -1), 0) * _F(1 / (na * nb))
+    lead = 2 if soft is None else 6
+    power = np.maximum(found[lead:].reshape(columns - lead, -1), 0) * _F(1 / (na * nb))
+    if soft is not None:
+        cell, offset = soft
+        index = np.arange(na * nb)[:, None] + hash_uint32(first + np.arange(m), 0)
+        a, b = offset[cell[first : first + m], index & (offset.shape[1] - 1)].transpose(2, 0, 1)
+        found[0] += found[2] * a + found[4] * b
+        found[1] += found[3] * a + found[5] * b
     return found[0].reshape(-1), found[1].reshape(-1), patch, power
 
 
 def _kept(x, y, wide, high, patch, start, chart, receivers):
-    """x, y, wide and high of the same samples, those near a chart's border kept on their patch's own chart.
+    """`_shares` of samples along x and y, those near a chart's border kept on their patch's own chart.
 
     start: (2, m) place of each patch's first photon.
     """
     size = receivers.resolution
+    (column, right), (row, above) = _shares(x, wide, size), _shares(y, high, size)
+    outer = np.flatnonzero(~receivers.inner.take(row * size + column))
+    if len(outer):
+        some = [values[outer] for values in (x, y, wide, high, patch)]
+        _keep(*some, start, chart, receivers)
+        column[outer], right[outer] = _shares(some[0], some[2], size)
+        row[outer], above[outer] = _shares(some[1], some[3], size)
+    return (column, right), (row, above)
+
+
+def _keep(x, y, wide, high, patch, start, chart, receivers):
+    """Keep samples near a chart's border on their patch's own chart, in place."""
+    size = receivers.resolution
     texel = _texel(x, y, size)
-    outer = np.flatnonzero(~receivers.inner[texel])
-    if not len(outer):
-        return x, y, wide, high
-    x, y, wide, high = x.copy(), y.copy(), wide.copy(), high.copy()
-    patch = patch[outer]
     mine = chart[patch]
     # what lies off the chart: back to the texel beside it, or somewhere between there and the patch's first photon
-    off = receivers.owner(texel[outer]) != mine
-    if off.any():
-        rows, own = outer[off], mine[off]
+    rows = np.flatnonzero(receivers.owner(texel) != mine)
+    if len(rows):
+        own = mine[rows]
         near = receivers.fill[texel[rows]]
         apart = np.maximum(np.abs(near % size - texel[rows] % size), np.abs(near // size - texel[rows] // size))
         beside = (near >= 0) & (apart <= 1) & (receivers.owner(np.maximum(near, 0)) == own)
-        fx, fy = start[:, patch[off]]
+        fx, fy = start[:, patch[rows]]
         part = (rows * GOLDEN % 1).astype(np.float32)
         bx, by = fx + (x[rows] - fx) * part, fy + (y[rows] - fy) * part
         kept = receivers.owner(_texel(bx, by, size)) == own
         x[rows] = np.where(beside, near % size + _F(0.5), np.where(kept, bx, fx))
         y[rows] = np.where(beside, near // size + _F(0.5), np.where(kept, by, fy))
-    spills = np.zeros(len(outer), bool)
+    spills = np.zeros(len(x), bool)
     for side in (-0.5, 0.5):
         for end in (-0.5, 0.5):
-            at = _texel(x[outer] + wide[outer] * _F(side), y[outer] + high[outer] * _F(end), size)
-            spills |= receivers.owner(at) != mine
-    wide[outer[spills]] = high[outer[spills]] = 1e-3
-    return x, y, wide, high
+            spills |= receivers.owner(_texel(x + wide * _F(side), y + high * _F(end), size)) != mine
+    wide[spills] = high[spills] = 1e-3
 
 
 def _texel(x, y, size):

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..allocator import keep_freed
 from ..rays import chunks
 from ..threads import in_threads
 from .keys import surface_keys
@@ -71,6 +72,7 @@ class Cache:
             raise ValueError(f"{len(octaves)} coarse lattices need as many trusts, not {len(self.trust)}.")
         self.measured = measured and len(octaves) > 0
         self.most, self.by_normal, self.seed, self.threads = most, by_normal, seed, threads
+        keep_freed()
         self.table = Table(channels, slots)
 
     @property
@@ -161,7 +163,7 @@ class Cache:
 
         def gather(item):
             rows, piece = item
-            sums, total = [], values[rows].T
+            sums, total = [], np.ascontiguousarray(values[rows].T)
             for tier in piece.tiers:
                 total = np.stack([tier.shares.sums(row) for row in total], dtype=np.float32)
                 sums.append(total)

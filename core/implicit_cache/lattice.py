@@ -48,7 +48,7 @@ def share_samples(position: np.ndarray, level: np.ndarray, surface: np.ndarray) 
     first = np.flatnonzero(starts)
     example, which = distinct(key.take(first))
     cells = Points(cell, level, surface, key).take(first.take(example))
-    return _shares(place.astype(np.float32), cells, which.take(np.cumsum(starts) - 1))
+    return _shares(place.astype(np.float32), cells, which.take(np.cumsum(starts) - 1, mode="clip"))
 
 
 def share_points(points: Points, octaves: int) -> tuple[Shares, Points]:
@@ -71,7 +71,9 @@ def _shares(place, cells, which):
     points = points._replace(cell=points.cell + CORNERS.T.take(corner, axis=1), key=keys.take(example))
     beyond = place > np.float32(0.5)
     nearest = beyond[0] * 4 + beyond[1] * 2 + beyond[2]
-    return Shares(trilinear(place), number.reshape(8, -1).take(which, axis=1), nearest, len(example)), points
+    return Shares(
+        trilinear(place), number.reshape(8, -1).take(which, axis=1, mode="clip"), nearest, len(example)
+    ), points
 
 
 def distinct(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -88,8 +90,8 @@ def distinct(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         place >>= shift
         place = place.view(np.int64)
         last[place] = rows[: len(open_)]
-        stand = last.take(place)
-        more = np.flatnonzero(keys.take(stand) != keys)
+        stand = last.take(place, mode="clip")
+        more = np.flatnonzero(keys.take(stand, mode="clip") != keys)
         if stands is rows:
             stands = stand
         else:
@@ -99,7 +101,7 @@ def distinct(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     chosen = np.flatnonzero(stands == rows)
     number = np.empty(count, np.int64)
     number[chosen] = np.arange(len(chosen))
-    return chosen, number.take(stands)
+    return chosen, number.take(stands, mode="clip")
 
 
 def trilinear(place: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ EMPTY = 0
 def find(tags: np.ndarray, home: np.ndarray, tag: np.ndarray) -> np.ndarray:
     """(n,) int32 slots that hold these tags, −1 where none does. tags: (slots,) uint32, a power of two; home: (n,) int32
     where a search begins; tag: (n,) uint32, not EMPTY."""
-    there = tags.take(home)
+    there = tags.take(home, mode="clip")
     slot = np.where(there == tag, home, np.int32(-1))
     open_ = np.flatnonzero((there != tag) & (there != EMPTY))
     home, tag = home[open_], tag[open_]
@@ -22,7 +22,7 @@ def find(tags: np.ndarray, home: np.ndarray, tag: np.ndarray) -> np.ndarray:
         if not len(open_):
             break
         home = home + 1 & len(tags) - 1
-        there = tags.take(home)
+        there = tags.take(home, mode="clip")
         found = there == tag
         slot[open_[found]] = home[found]
         more = ~found & (there != EMPTY)

@@ -161,7 +161,7 @@ class Table:
     def merge(self, slots: np.ndarray, sums: np.ndarray, share: np.ndarray, most: float) -> None:
         """Add samples to the entries at different slots (n,): their sums (channels, n), and (n,) of their weights. No entry
         counts more than `most`."""
-        rows = self._rows.take(slots, axis=0)
+        rows = self._rows.take(slots, axis=0, mode="clip")
         word, means = rows[:, 0], rows[:, 1:].view(np.float32).T
         before = _count_of(word)
         count = before + share
@@ -180,7 +180,7 @@ class Table:
 
     def sums(self, slots: np.ndarray) -> np.ndarray:
         """(channels + 1, n) float32 mean times count of each channel, and counts, of (n,) entries."""
-        rows = self._rows.take(slots, axis=0)
+        rows = self._rows.take(slots, axis=0, mode="clip")
         result = np.empty((1 + self.channels, len(slots)), np.float32)
         result[-1] = _count_of(rows[:, 0])
         np.multiply(rows[:, 1:].view(np.float32).T, result[-1], out=result[:-1])

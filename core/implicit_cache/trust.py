@@ -63,7 +63,7 @@ def departure(
     for own, coarse in zip(sums[:-1], above[:-1], strict=True):
         squared += (own / count - coarse / there) ** 2
     squared /= np.float32(len(sums) - 1)
-    explained = noise.take(nearest) * SPREAD / count
+    explained = noise.take(nearest, mode="clip") * SPREAD / count
     parts = (squared * weight, explained * weight, weight, weight * weight)
     return np.stack([np.bincount(nearest, part, minlength=len(noise)) for part in parts])
 

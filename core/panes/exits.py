@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..memory import slices
 from ..surface import SurfaceSamples, Texels
 from ..transfer import Begun, Gatherer
 from .regions import region_of
@@ -61,11 +62,12 @@ def joined(exits: Texels) -> np.ndarray:
     # texels of one chart are about evenly spaced: a neighbour much farther than most is on another chart
     nearby = _spacing(place, at, size, position)
     result = np.zeros((len(exits), len(STEPS)), bool)
-    for k, (dy, dx) in enumerate(STEPS):
-        near = place[at + dy * (size + 2) + dx]
-        apart = position[near] - position
-        alike = np.einsum("nd,nd->n", normal[near], normal) > 0.9
-        result[:, k] = (near >= 0) & alike & (np.einsum("nd,nd->n", apart, apart) < (2 * nearby) ** 2)
+    for s in slices(len(exits), 80):
+        for k, (dy, dx) in enumerate(STEPS):
+            near = place[at[s] + dy * (size + 2) + dx]
+            apart = position[near] - position[s]
+            alike = np.einsum("nd,nd->n", normal[near], normal[s]) > 0.9
+            result[s, k] = (near >= 0) & alike & (np.einsum("nd,nd->n", apart, apart) < (2 * nearby[s]) ** 2)
     return result
 
 
@@ -77,14 +79,17 @@ def smooth_panes(rows: np.ndarray, exits: Texels, starts: np.ndarray, beside: np
     """
     size, place, at = _grid(exits)
     region = region_of(starts)
-    total, weight = 4 * rows, np.full((len(rows), 1), 4, np.float32)
-    for k, (dy, dx) in enumerate(STEPS):
-        near = place[at + dy * (size + 2) + dx]
-        same = beside[:, k] & (region[near] == region)
-        share = (same * np.float32((2 - abs(dx)) * (2 - abs(dy))))[:, None]
-        total += share * rows[near]
-        weight += share
-    return total / weight
+    result = np.empty_like(rows)
+    for s in slices(len(rows), 16 * rows.shape[1]):
+        total, weight = 4 * rows[s], np.full((s.stop - s.start, 1), 4, np.float32)
+        for k, (dy, dx) in enumerate(STEPS):
+            near = place[at[s] + dy * (size + 2) + dx]
+            same = beside[s, k] & (region[near] == region[s])
+            share = (same * np.float32((2 - abs(dx)) * (2 - abs(dy))))[:, None]
+            total += share * rows[near]
+            weight += share
+        result[s] = total / weight
+    return result
 
 
 def _grid(exits):
@@ -99,8 +104,9 @@ def _grid(exits):
 def _spacing(place, at, size, position):
     """(t,) float32 m from each texel to the nearest of its four straight neighbours."""
     least = np.full(len(at), np.inf, np.float32)
-    for step in (-1, 1, -size - 2, size + 2):
-        near = place[at + step]
-        apart = np.linalg.norm(position[near] - position, axis=1)
-        least = np.minimum(least, np.where((near >= 0) & (apart > 0), apart, np.inf))
+    for s in slices(len(at), 60):
+        for step in (-1, 1, -size - 2, size + 2):
+            near = place[at[s] + step]
+            apart = np.linalg.norm(position[near] - position[s], axis=1)
+            least[s] = np.minimum(least[s], np.where((near >= 0) & (apart > 0), apart, np.inf))
     return least

@@ -106,7 +106,8 @@ def learn_modes(
             turned = shared_leading([block, spots], LARGE)
             block_turned, spots_turned = turned.T @ block, turned.T @ spots
         else:
-            block_turned, spots_turned = block, spots
+            block_turned = block
+            spots_turned = spots if isinstance(spots, np.ndarray) else np.eye(len(rows), dtype=np.float32) @ spots
         # float64: the Gram matrix squares the range of the singular values
         gram = block_turned @ block_turned.T + spots_turned @ spots_turned.T
         values, vectors = np.linalg.eigh(gram.astype(np.float64))
@@ -121,7 +122,7 @@ def learn_modes(
         inverse = np.zeros((len(rows), panes), np.float32)
         inverse[:, : len(values)] = vectors / values.astype(np.float32)
         mixes[:, r * panes : (r + 1) * panes] = block.T @ inverse
-        makers[:, r * panes : (r + 1) * panes] = lone.radiosity(spots.T @ inverse)
+        makers[:, r * panes : (r + 1) * panes] = lone.radiosity((inverse.T @ spots).T)
     makers += radiosity @ mixes
     return Modes(region, panes, regions, basis, dual, makers)
 

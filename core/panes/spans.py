@@ -17,13 +17,13 @@ def leading(fields: np.ndarray, rank: int, seed: int = 0) -> np.ndarray:
 
 
 def shared_leading(blocks: list[np.ndarray], rank: int, seed: int = 0) -> np.ndarray:
-    """(m, ≤ rank) float32 orthonormal basis of the leading directions of all columns of `blocks`, (m, s) float32 each,
-    by their brightness."""
+    """(m, ≤ rank) float32 orthonormal basis of the leading directions of all columns of `blocks`, (m, s) float32 each or
+    what multiplies like it, by their brightness."""
     random = np.random.default_rng(seed)
-    rank = min(rank, len(blocks[0]))
+    rank = min(rank, blocks[0].shape[0])
     basis = sum(block @ random.standard_normal((block.shape[1], rank), np.float32) for block in blocks)
     basis = orthonormal(basis)
-    return orthonormal(sum(block @ (block.T @ basis) for block in blocks))
+    return orthonormal(sum(block @ (basis.T @ block).T for block in blocks))
 
 
 def orthonormal(columns: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..memory import slices
 from .interpolation import Weights
 
 DIGITS = 24
@@ -26,16 +27,22 @@ def weight_bits(points: int) -> int:
 def encode(weights: Weights, bits: int) -> np.ndarray:
     """(q, k) float32 codes; weights are kept from −½ to just below 1½, in steps of 2 / 2^bits. 0 is no point."""
     steps, zero = 1 << bits, 1 << bits - 2
-    lower = np.clip(np.rint(weights.weight * (steps // 2)) + zero, 0, steps - 1)
-    codes = (weights.point.astype(np.int64) + 1) * steps + lower.astype(np.int64)
-    return np.where(lower == zero, 0, codes).astype(np.float32)
+    result = np.empty(weights.point.shape, np.float32)
+    for s in slices(len(result), 32 * result.shape[1]):
+        lower = np.clip(np.rint(weights.weight[s] * (steps // 2)) + zero, 0, steps - 1)
+        codes = (weights.point[s].astype(np.int64) + 1) * steps + lower.astype(np.int64)
+        result[s] = np.where(lower == zero, 0, codes)
+    return result
 
 
 def decode(codes: np.ndarray, bits: int) -> Weights:
     """Weights from (q, k) codes, their sums made 1 again; a code's sign means nothing here."""
     steps, zero = 1 << bits, 1 << bits - 2
-    whole = np.abs(codes).astype(np.int64)
-    weight = np.where(whole > 0, (whole % steps - zero) * np.float32(2 / steps), 0).astype(np.float32)
-    total = weight.sum(axis=1, keepdims=True)
-    weight /= np.where(np.abs(total) > 1e-6, total, 1)
-    return Weights(np.maximum(whole // steps - 1, 0).astype(np.int32), weight)
+    point, weight = np.empty(codes.shape, np.int32), np.empty(codes.shape, np.float32)
+    for s in slices(len(codes), 48 * codes.shape[1]):
+        whole = np.abs(codes[s]).astype(np.int64)
+        found = np.where(whole > 0, (whole % steps - zero) * np.float32(2 / steps), 0).astype(np.float32)
+        total = found.sum(axis=1, keepdims=True)
+        weight[s] = found / np.where(np.abs(total) > 1e-6, total, 1)
+        point[s] = np.maximum(whole // steps - 1, 0)
+    return Weights(point, weight)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..memory import slices
 from ..rays import Bvh
 from ..sampling import frame, hash_uniform
 from ..surface import SurfaceSamples
@@ -60,12 +61,25 @@ class Weights:
         """Those of the places at `rows`."""
         return Weights(self.point[rows], self.weight[rows])
 
+    def named(self, rows: np.ndarray) -> Weights:
+        """Those of the places at `rows` (r,) int, of which −1 has none."""
+        shape = len(rows), self.point.shape[1]
+        point, weight = np.zeros(shape, np.int32), np.zeros(shape, np.float32)
+        for s in slices(len(rows), 16 + 8 * shape[1]):
+            some = np.flatnonzero(rows[s] >= 0)
+            at, some = rows[s][some], some + s.start
+            point[some], weight[some] = self.point[at], self.weight[at]
+        return Weights(point, weight)
+
     def apply(self, values: np.ndarray) -> np.ndarray:
         """(q, c) of values (n, c)."""
-        total = values.take(self.point[:, 0], axis=0) * self.weight[:, :1]
-        for k in range(1, self.point.shape[1]):
-            total += values.take(self.point[:, k], axis=0) * self.weight[:, k : k + 1]
-        return total
+        result = np.empty((len(self.point), values.shape[1]), np.result_type(values, self.weight))
+        for s in slices(len(result), 16 * values.shape[1]):
+            total = values.take(self.point[s, 0], axis=0) * self.weight[s, :1]
+            for k in range(1, self.point.shape[1]):
+                total += values.take(self.point[s, k], axis=0) * self.weight[s, k : k + 1]
+            result[s] = total
+        return result
 
     def steps(self, points: PointSet, places: SurfaceSamples) -> np.ndarray:
         """(q, k, 7) float32: with these, times a row's value and its gradients, a place sums up what its points hold

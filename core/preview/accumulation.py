@@ -59,6 +59,10 @@ class Film:
         else:
             self._sums[name] += image - former
 
+    def change(self, name: str, rows: np.ndarray, difference: np.ndarray) -> None:
+        """Some pixels of an image that counts are now brighter by (k, C)."""
+        self._sums[name][rows] += difference
+
     def mean(self, name: str) -> np.ndarray:
         return self._sums[name] / np.float32(self._weights[name])
 

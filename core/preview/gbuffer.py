@@ -10,14 +10,15 @@ from ..lights import sky_radiance
 from ..rays import chunks
 from ..sampling import BELOW_ONE, GOLDEN, PLASTIC, hash_uniform
 from ..scene import Sky
-from ..threads import in_threads
+from ..threads import in_threads, thread_count
 from ..vectors import scaled
 from .camera import Camera
 from .lobes import DIFFUSE, GLASS, choose
 from .surfaces import Surfaces
 
-CHUNK = 1 << 14
-"""Pixels that are traced together."""
+MOST, LEAST = 1 << 16, 1 << 12
+"""Pixels that are traced together: many, so that threads seldom wait for each other, and few enough for all threads to have
+some. No image depends on it."""
 
 BOUNCES = 12
 """Mirrors, glass and see-through surfaces that a camera's ray follows."""
@@ -71,9 +72,15 @@ def make_gbuffer(
     width, height = camera.size
     parts = in_threads(
         lambda rows: _trace(surfaces, camera, sky, offset, rows, number, seed, transparent),
-        chunks(height, max(1, CHUNK // max(width, 1))),
+        pieces(height, max(width, 1)),
     )
     return GBuffer(*in_threads(np.concatenate, zip(*parts, strict=True)))
+
+
+def pieces(count: int, each: int = 1) -> list[slice]:
+    """Slices of range(count), as many as threads have use for. each: pixels that one of them stands for."""
+    share = -(-count * each // thread_count())
+    return chunks(count, max(1, min(MOST, max(LEAST, share)) // each))
 
 
 def _trace(surfaces, camera, sky, offset, rows, number, seed, transparent):
@@ -98,10 +105,10 @@ def _trace(surfaces, camera, sky, offset, rows, number, seed, transparent):
         rows, triangle, u, v = found.rows, found.triangle, found.u, found.v
         if not len(rows):
             break
-        who, way, distance = alive[rows], way.take(rows, axis=0), found.distance
+        who, way, distance = alive[rows], way.take(rows, axis=0, mode="clip"), found.distance
         weight = None if weight is None else weight[rows]
         hit = scaled(way, distance)
-        hit += start.take(rows, axis=0)
+        hit += start.take(rows, axis=0, mode="clip")
         normal, flat = surfaces.normals(triangle, u, v, way)
         gone = gone[rows] + distance
         inside = inside[rows] if turn else inside

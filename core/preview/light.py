@@ -16,6 +16,7 @@ from ..lights import NEAREST, SUN_REACH, spot_cone
 from ..rays import Tracer
 from ..scene import Light
 from ..vectors import around, dot, join, scaled, split
+from .darkness import Darkness
 
 MOST_LAMPS = 4
 """Lamps that a point asks in one frame; with more each point picks so many of them."""
@@ -40,7 +41,10 @@ class Baked:
 
 
 class Lamps:
-    """The lamps of a scene. tracer: on the calling thread; bounds: (2, 3) corners of the scene, m."""
+    """The lamps of a scene. tracer: on the calling thread; bounds: (2, 3) corners of the scene, m.
+
+    darkness: where lamps were found to be hidden, from the last `settle` on.
+    """
 
     def __init__(self, lights: Sequence[Light], tracer: Tracer, bounds: np.ndarray):
         self.lights = [light for light in lights if light.power.any()]
@@ -48,6 +52,7 @@ class Lamps:
         self._reach = _F(SUN_REACH + 10 * float(np.linalg.norm(bounds[1] - bounds[0])))
         self._colour = [light.power.astype(np.float32) for light in self.lights]
         self._grid = _Grid(self.lights, bounds) if len(self.lights) > 1 else None
+        self.darkness = Darkness(len(self.lights), bounds)
 
     def __len__(self) -> int:
         return len(self.lights)
@@ -60,9 +65,10 @@ class Lamps:
         """
         result = np.zeros((3, len(points)), np.float32)
         place, facing = split(points), split(normals)
+        cell = self.darkness.cells(place)
         if len(self.lights) <= most:
             for number in range(len(self.lights)):
-                self._add(result, number, None, points, place, facing, _turned(u, number), None)
+                self._add(result, number, None, cell, points, place, facing, _turned(u, number), None)
             return join(*result)
         for turn in range(most):
             stratum = (pick + turn) / _F(most)
@@ -73,19 +79,27 @@ class Lamps:
             for each in np.unique(number):
                 rows = order[ends[each] : ends[each + 1]]
                 self._add(
-                    result, each, rows, points[rows], place[:, rows], facing[:, rows], turned[:, rows], share[rows] * _F(most)
+                    result, each, rows, cell[rows], points[rows], place[:, rows], facing[:, rows], turned[:, rows],
+                    share[rows] * _F(most),
                 )  # fmt: skip
         return join(*result)
 
-    def _add(self, result, number, rows, points, place, facing, u, share):
+    def _add(self, result, number, rows, cell, points, place, facing, u, share):
         """Add a lamp's light to `rows` of the result, (3, n), None for all of them."""
         light = self.lights[number]
+        chosen = self.darkness.choose(number, cell, u) if light.casts_shadow else None
+        if chosen is not None:
+            some, u, chance = chosen
+            share = chance if share is None else share[some] * chance
+            rows = some if rows is None else rows[some]
+            cell, points = cell.take(some, mode="clip"), points.take(some, axis=0, mode="clip")
+            place, facing = place.take(some, axis=1, mode="clip"), facing.take(some, axis=1)
         sample = {"POINT": _ball, "SPOT": _ball, "SUN": _sun, "AREA": _panel}[light.kind]
         value, vectors = sample(light, place, facing, u, self._reach)
         if share is not None:
             value = value / share
         if light.casts_shadow:
-            value = self._shadowed(value, points, vectors)
+            value = self._shadowed(number, cell, value, points, vectors)
         for k in range(3):
             part = (value if value.ndim == 1 else value[:, k]) * self._colour[number][k]
             if rows is None:
@@ -93,17 +107,22 @@ class Lamps:
             else:
                 result[k][rows] += part
 
-    def _shadowed(self, value, points, vectors):
+    def _shadowed(self, number, cell, value, points, vectors):
         """Values where nothing stands in between, (n,), or (n, 3) behind coloured glass."""
         lit = np.flatnonzero(value > 0)
         if len(lit) == len(value):
             through = self._tracer.visibility(points, join(*vectors))
+            self._learn(number, cell, through)
         else:
-            ways = join(*(part.take(lit) for part in vectors))
-            some = self._tracer.visibility(points.take(lit, axis=0), ways)
+            ways = join(*(part.take(lit, mode="clip") for part in vectors))
+            some = self._tracer.visibility(points.take(lit, axis=0, mode="clip"), ways)
+            self._learn(number, cell.take(lit, mode="clip"), some)
             through = np.zeros((len(value), *some.shape[1:]), np.float32)
             through[lit] = some
         return value * through if through.ndim == 1 else scaled(through, value)
+
+    def _learn(self, number, cell, through):
+        self.darkness.learn(number, cell, (through if through.ndim == 1 else through.max(axis=1, initial=0)) > 0)
 
 
 def _turned(u, turn):

@@ -122,7 +122,7 @@ class Looks:
         return self._colour("emission", triangle, u, v)
 
     def _colour(self, what, triangle, u, v):
-        colour = self._own[what].take(triangle, axis=0)
+        colour = self._own[what].take(triangle, axis=0, mode="clip")
         if what not in self._maps:
             return colour
         shown, image = self._maps[what]

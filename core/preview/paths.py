@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..lights import sky_radiance
-from ..rays import chunks
 from ..sampling import hash_uint32, hash_uniform
 from ..scene import Sky
 from ..threads import in_threads
 from ..vectors import scaled
 from .baked import BakedLight
-from .gbuffer import CHUNK
+from .gbuffer import pieces
 from .light import Baked, Lamps
 from .surfaces import Surfaces
 
@@ -85,27 +84,27 @@ class PathTracer:
         self.coarse, self.seed, self.frames, self.feed = coarse, seed, 0, FEED[0]
         self.bake = BakedLight(surfaces, baked) if baked is not None else None
 
-    def gather(self, position, normal, flat, pixel, span: float, u, frame: int, bounces: int) -> Light:
+    def gather(self, position, normal, flat, pixel, span: float, u, spot, frame: int, bounces: int) -> Light:
         """One path from each of n points.
 
         position: lifted off the surface. pixel: (n,) uint32 names the points in hashes. span: m, a pixel's width at
-        most surfaces, the unit of the coarse cache. u: (2, n) in [0, 1), the first direction. bounces: after which
-        paths end, at most.
+        most surfaces, the unit of the coarse cache. u, spot: (2, n) in [0, 1), the first direction, and places on lamps
+        where it leads. bounces: after which paths end, at most.
         """
         seed = int(hash_uint32(np.array([frame]), 77, self.seed)[0])
         self.feed = max(FEED[1], FEED[0] * min(1.0, FEEDING / (self.frames + 1)))
         self.frames += 1
-        return self._gather(position, normal, flat, pixel, span, u, seed, bounces, 0)
+        return self._gather(position, normal, flat, pixel, span, u, spot, seed, bounces, 0)
 
-    def _gather(self, position, normal, flat, pixel, span, u, seed, bounces, turn) -> Light:
+    def _gather(self, position, normal, flat, pixel, span, u, spot, seed, bounces, turn) -> Light:
         light = Light(
             *(np.zeros((len(position), 3), np.float32) for _ in range(2)), np.full(len(position), np.inf, np.float32)
         )
         vertices = in_threads(
             lambda s: self._step(
-                light, s, *_same(normal, flat, s), position[s], pixel[s], u[:, s], seed, turn, bounces
+                light, s, *_same(normal, flat, s), position[s], pixel[s], u[:, s], spot[:, s], seed, turn, bounces
             ),
-            chunks(len(position), CHUNK),
+            pieces(len(position)),
         )
         vertices = [at for at in vertices if at is not None]
         if not vertices:
@@ -147,12 +146,14 @@ class PathTracer:
 
     def _deeper(self, at, rows, pixel, span, seed, bounces, turn) -> Light:
         base, origin = _DIMENSIONS * (turn + 1), at.rows[rows]
-        u = np.stack([hash_uniform(pixel[origin], base + k, seed) for k in (4, 5)])
+        u, spot = (np.stack([hash_uniform(pixel[origin], base + k, seed) for k in pair]) for pair in ((4, 5), (0, 1)))
         return self._gather(
-            at.position[rows], at.normal[rows], at.flat[rows], pixel[origin], span, u, seed, bounces, turn + 1
+            at.position[rows], at.normal[rows], at.flat[rows], pixel[origin], span, u, spot, seed, bounces, turn + 1
         )  # fmt: skip
 
-    def _step(self, into: Light, piece, normal, flat, position, pixel, u, seed, turn, bounces) -> _Vertices | None:
+    def _step(
+        self, into: Light, piece, normal, flat, position, pixel, u, spot, seed, turn, bounces
+    ) -> _Vertices | None:
         """One ray from each point of a piece: light of sky and emission that it meets, and its way, go into `into`, and so
         does what the last bounce brings; returns where it lands if it may go on from there."""
         surfaces, base = self.surfaces, _DIMENSIONS * turn
@@ -167,9 +168,9 @@ class PathTracer:
         into.way[piece][rows] = found.distance
         if bounces < 1 and not surfaces.looks.emits:
             return None
-        heading = directions.take(rows, axis=0)
+        heading = directions.take(rows, axis=0, mode="clip")
         hit = scaled(heading, found.distance)
-        hit += position.take(rows, axis=0)
+        hit += position.take(rows, axis=0, mode="clip")
         normal, flat = surfaces.normals(triangle, u, v, heading)
         if surfaces.looks.emits:
             light = surfaces.looks.emission(triangle, u, v) * _PI
@@ -183,7 +184,7 @@ class PathTracer:
         hit += surfaces.offset * flat
         who = pixel[rows]
         if len(self.lamps):
-            spot = np.stack([hash_uniform(who, base + k, seed) for k in (0, 1)])
+            spot = spot if len(rows) == len(position) else spot.take(rows, axis=1, mode="clip")
             pick = hash_uniform(who, base + 2, seed) if len(self.lamps) > AT_BOUNCES else None
             light = self.lamps.irradiance(hit, normal, spot, pick, most=AT_BOUNCES)
         else:

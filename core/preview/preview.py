@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..implicit_cache import Cache
-from ..rays import chunks
 from ..sampling import PLASTIC, hash_uniform
 from ..scene import Light, SceneError, Sky
 from ..threads import in_threads
 from .accumulation import Film, PixelCache
 from .camera import Camera
-from .gbuffer import CHUNK, GBuffer, make_gbuffer
+from .gbuffer import GBuffer, make_gbuffer, pieces
 from .light import MOST_LAMPS, Baked, Lamps
 from .paths import PathTracer
 from .pixel_filter import offsets
@@ -45,14 +44,18 @@ COARSE = 12.0
 KEPT_BYTES = 1e9
 """Of the views of all places in a pixel, which are kept for a camera at rest where they fit."""
 
+AGAIN = 4
+"""At places in a pixel that were seen before, one pixel in so many asks the lamps once more: most of what these bring there is
+known by then, and penumbrae have the other places too."""
+
 TILE = 4
 """Pixels along each side of a tile whose samples are spread together."""
 
 _F = np.float32
 # In which order the pixels of a tile take their turns: neighbours far apart (Bayer's matrix)
 _ORDER = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])
-# Kronecker sequences, one a dimension: bounces, places on lamps, which lamp
-_STEPS = (PLASTIC, (2**0.5 - 1, 3**0.5 - 1), (5**0.5 - 2, 7**0.5 - 2))
+# Kronecker sequences, one a dimension: bounces, places on lamps, which lamp, places on lamps where the bounce lands
+_STEPS = (PLASTIC, (2**0.5 - 1, 3**0.5 - 1), (5**0.5 - 2, 7**0.5 - 2), (11**0.5 - 3, 13**0.5 - 3))
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ class Settings:
     """bounces: of indirect light, at most. places: in a pixel, that a camera at rest goes through, 1 for its middle
     alone; where mirrors or glass are seen every frame has its own.
     filter_width: of a pixel, px. ao_distance: m, beyond which nothing occludes. transparent: the camera does not see the
-    sky. split: keep first light, indirect light and occlusion apart, for the passes that show them; else Combined alone.
+    sky. passes: of PASSES, those that are wanted beside Combined; direct and indirect light are kept apart for theirs alone.
     cached: share light between pixels, in the world-space cache; else every pixel has its own mean."""
 
     bounces: int = 8
@@ -68,7 +71,7 @@ class Settings:
     filter_width: float = 1.5
     ao_distance: float = 10.0
     transparent: bool = False
-    split: bool = True
+    passes: Collection[str] = tuple(PASSES)
     cached: bool = True
     seed: int = 0
 
@@ -77,8 +80,8 @@ class Settings:
 class _View:
     """One look through the camera. reflectance: (m, 3) radiance for irradiance at the G-buffer's places. known: (k,) rows of
     its m whose indirect light a bake holds, rest: the others. baked: (k, C) of the known ones, first and indirect light
-    where these are apart. places: of the rest, in the cache. direct: (pixels, 3), sum over its visits. shown: what the film
-    has of it, by name.
+    where these are apart. places: of the rest, in the cache. direct: (pixels, 3), mean over its visits. turns: of the m,
+    which of AGAIN they have, and the rows of each turn. shown: what the film has of it, by name.
     """
 
     buffer: GBuffer
@@ -89,6 +92,7 @@ class _View:
     places: object = None
     direct: np.ndarray | None = None
     visits: int = 0
+    turns: list[np.ndarray] | None = None
     shown: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
@@ -119,7 +123,11 @@ class Preview:
         self.frames = 0
         """Since the camera last moved or the light changed."""
         self._drawn = 0
-        self._channels = {"first": 3, "indirect": 3, "ao": 1} if self.settings.split else {"light": 3}
+        wanted = set(self.settings.passes)
+        self._split = not wanted.isdisjoint(("Diffuse Direct", "Diffuse Indirect"))
+        self._channels = {"first": 3, "indirect": 3} if self._split else {"light": 3}
+        if "AO" in wanted:
+            self._channels["ao"] = 1
         self._cache = self._make_cache()
         coarse = None
         if self.settings.cached:
@@ -172,9 +180,10 @@ class Preview:
 
     def frame(self) -> None:
         """One more sample for every pixel."""
+        self._lamps.darkness.settle()
         view = self._view(self.frames)
         buffer = view.buffer
-        direct = self._direct(view)
+        self._add_direct(view)
         parts = self._cached_light(view)
         self.frames += 1
         self._drawn += 1
@@ -189,21 +198,18 @@ class Preview:
         }
         if kept:
             # places count alike however often each was seen, or edges would shake
-            view.direct = direct if view.direct is None else np.add(view.direct, direct, out=view.direct)
-            view.visits += 1
-            for name, image in (("direct", view.direct * _F(1 / view.visits)), *images.items()):
+            for name, image in images.items():
                 film.replace(name, image, view.shown.get(name))
                 view.shown[name] = image
         else:
-            film.add("direct", direct)
             for name, image in images.items():
                 film.add(name, image, weight)
-        if not self.settings.split:
-            return
-        if fresh:
+        wanted = self.settings.passes
+        if fresh and (self._split or "Diffuse Color" in wanted):
             film.add("colour", _spread(buffer, buffer.reflectance))
+        if fresh and "Normal" in wanted:
             film.add("normal", buffer.shown_normal)
-        if "depth" not in film:
+        if "Depth" in wanted and "depth" not in film:
             film.add("depth", buffer.depth[:, None])
 
     def image(self, name: str = "Combined") -> np.ndarray:
@@ -213,8 +219,9 @@ class Preview:
         """
         if not self.frames:
             raise SceneError("There is no image before the first frame.")
-        if name not in PASSES or (name != "Combined" and not self.settings.split):
-            raise SceneError(f"The preview makes no pass {name!r}; it makes {', '.join(PASSES)}.")
+        names = ["Combined", *(own for own in PASSES if own != "Combined" and own in self.settings.passes)]
+        if name not in names:
+            raise SceneError(f"The preview makes no pass {name!r}; it makes {', '.join(names)}.")
         film = self._film
         if name == "Combined":
             made = film.mean("seen")
@@ -258,7 +265,7 @@ class Preview:
 
     def _read_bake(self, buffer, known):
         """(k, C) of the light that the bake holds at the G-buffer's `known` rows."""
-        bake, split = self._tracer.bake, self.settings.split
+        bake, split = self._tracer.bake, self._split
         made = np.empty((len(known), 6 if split else 3), np.float32)
         whole = len(known) == len(buffer.rows)
 
@@ -271,7 +278,7 @@ class Preview:
                 else:
                     np.add(first[k], indirect[k], out=made[piece, k])
 
-        in_threads(part, chunks(len(known), CHUNK))
+        in_threads(part, pieces(len(known)))
         return made
 
     def _numbers(self, pixels: np.ndarray, dimension: int) -> np.ndarray:
@@ -288,60 +295,92 @@ class Preview:
         # float64: the product's fraction is what counts
         turn = self._drawn * TILE * TILE * step % 1
         shift = self._shifts[dimension]
-        numbers = shift + turn.astype(np.float32) if len(pixels) == shift.shape[1] else shift.take(pixels, axis=1)
+        numbers = (
+            shift + turn.astype(np.float32)
+            if len(pixels) == shift.shape[1]
+            else shift.take(pixels, axis=1, mode="clip")
+        )
         if len(pixels) != shift.shape[1]:
             numbers += turn.astype(np.float32)
         numbers -= np.floor(numbers)
         return np.minimum(numbers, _F(1 - 2**-24), out=numbers)
 
-    def _direct(self, view: _View) -> np.ndarray:
-        """(pixels, 3) radiance by the lamps' light alone."""
-        buffer, few = view.buffer, len(self._lamps) <= MOST_LAMPS
-        image = np.zeros((len(buffer.depth), 3), np.float32)
+    def _add_direct(self, view: _View) -> None:
+        """Show the lamps' light, with one more sample of each for every pixel, or, where the view was seen before, for those
+        whose turn it is."""
+        buffer, film = view.buffer, self._film
+        kept, view.visits = bool(self._views), view.visits + 1
+        if view.visits == 1:
+            image = np.zeros((len(buffer.depth), 3), np.float32)
+            self._sample_lamps(view, np.arange(len(buffer.rows)), lambda pixels, light: _put(image, pixels, light))
+            film.add("direct", image)
+            view.direct = image if kept else None
+            return
         if not len(self._lamps):
-            return image
+            return
+        if view.turns is None:
+            row, column = np.divmod(buffer.rows, self.camera.size[0])
+            turn = _ORDER[row % TILE * TILE + column % TILE] % AGAIN
+            view.turns = [np.flatnonzero(turn == k) for k in range(AGAIN)]
+        again = view.visits - 2
+        share = _F(1 / (2 + again // AGAIN))
+
+        def improve(pixels, light):
+            light -= view.direct.take(pixels, axis=0, mode="clip")
+            light *= share
+            view.direct[pixels] += light
+            film.change("direct", pixels, light)
+
+        self._sample_lamps(view, view.turns[again % AGAIN], improve)
+
+    def _sample_lamps(self, view: _View, rows: np.ndarray, use) -> None:
+        """Call use(pixels, light) with (k, 3) radiance by one sample of each lamp at parts of the rows of the G-buffer."""
+        buffer, few = view.buffer, len(self._lamps) <= MOST_LAMPS
+        if not len(self._lamps):
+            return
+        whole = len(rows) == len(buffer.rows)
 
         def part(s):
-            rows = buffer.rows[s]
-            pick = None if few else self._numbers(rows, 2)[0]
-            light = self._lamps.irradiance(buffer.position[s], buffer.normal[s], self._numbers(rows, 1), pick)
-            light *= view.reflectance[s]
-            image[_within(rows)] = light
+            own = s if whole else rows[s]
+            pixels = buffer.rows[own]
+            pick = None if few else self._numbers(pixels, 2)[0]
+            light = self._lamps.irradiance(buffer.position[own], buffer.normal[own], self._numbers(pixels, 1), pick)
+            light *= view.reflectance[own]
+            use(pixels, light)
 
         for dimension in (1, 2):
             self._numbers(buffer.rows[:1], dimension)
-        in_threads(part, chunks(len(buffer.rows), CHUNK))
-        return image
+        in_threads(part, pieces(len(rows)))
 
     def _cached_light(self, view: _View) -> dict[str, np.ndarray]:
         """(m, C) of each cache's light, as it is known after this frame's samples; nothing where it is as it was."""
-        buffer, rest, split = view.buffer, view.rest, self.settings.split
+        buffer, rest = view.buffer, view.rest
+        occluded = "ao" in self._channels
         whole = len(rest) == len(buffer.rows)
 
         def part(values):
             return values if whole else values[rest]
 
-        if view.baked is not None and not len(rest) and not split:
+        if view.baked is not None and not len(rest) and not self._split and not occluded:
             return {} if "light" in view.shown else {"light": view.baked}
         made = None
         if view.baked is not None or not len(rest):
             made = np.zeros((len(buffer.rows), sum(self._channels.values())), np.float32)
         if view.baked is not None:
             made[view.known, : view.baked.shape[1]] = view.baked
-            if split:
+            if occluded:
                 made[view.known, -1] = self._occlusion(view)
         if len(rest):
             position, normal, owner = part(buffer.position), part(buffer.normal), part(buffer.object_id)
             pixel = part(buffer.rows)
             light = self._tracer.gather(
                 position, normal, normal if buffer.flat is buffer.normal else part(buffer.flat), pixel.astype(np.uint32),
-                self._span, self._numbers(pixel, 0), self._drawn, self.settings.bounces,
+                self._span, self._numbers(pixel, 0), self._numbers(pixel, 3), self._drawn, self.settings.bounces,
             )  # fmt: skip
-            if split:
-                free = (light.way > self.settings.ao_distance).astype(np.float32)
-                values = np.concatenate([light.first, light.indirect, free[:, None]], axis=1)
-            else:
-                values = light.total
+            values = [light.first, light.indirect] if self._split else [light.total]
+            if occluded:
+                values.append((light.way > self.settings.ao_distance).astype(np.float32)[:, None])
+            values = np.concatenate(values, axis=1) if len(values) > 1 else values[0]
             if not self.settings.cached:
                 view.places = pixel
             elif view.places is None or not self._cache.holds(view.places):
@@ -367,8 +406,12 @@ class Preview:
             free = tracer.visibility(buffer.position[rows], ways * _F(self.settings.ao_distance))
             return free if free.ndim == 1 else free.mean(axis=1)
 
-        parts = in_threads(part, chunks(len(view.known), CHUNK))
+        parts = in_threads(part, pieces(len(view.known)))
         return np.concatenate(parts) if parts else np.zeros(0, np.float32)
+
+
+def _put(image, pixels, values):
+    image[_within(pixels)] = values
 
 
 def _within(rows):
@@ -383,5 +426,5 @@ def _spread(buffer: GBuffer, values: np.ndarray, factor: np.ndarray | None = Non
     def part(s):
         image[_within(buffer.rows[s])] = values[s] if factor is None else values[s] * factor[s]
 
-    in_threads(part, chunks(len(buffer.rows), CHUNK))
+    in_threads(part, pieces(len(buffer.rows)))
     return image

@@ -98,10 +98,10 @@ class CornerUV:
 
     def at(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Both coordinates, (n,) float32 each, at barycentric places of triangles (n,)."""
-        place = self._along.take(triangle)
+        place = self._along.take(triangle, mode="clip")
         place *= u
-        up = self._up.take(triangle)
+        up = self._up.take(triangle, mode="clip")
         up *= v
         place += up
-        place += self._first.take(triangle)
+        place += self._first.take(triangle, mode="clip")
         return place.real.copy(), place.imag.copy()

@@ -159,9 +159,9 @@ class Surfaces:
         """(n,) bool: whether normals (n, 3) of triangles (n,) point where the faces' own do."""
         own = self._flat
         return (
-            own[0].take(triangle) * normal[:, 0]
-            + own[1].take(triangle) * normal[:, 1]
-            + own[2].take(triangle) * normal[:, 2]
+            own[0].take(triangle, mode="clip") * normal[:, 0]
+            + own[1].take(triangle, mode="clip") * normal[:, 1]
+            + own[2].take(triangle, mode="clip") * normal[:, 2]
             > 0
         )
 
@@ -170,7 +170,7 @@ class Surfaces:
 
         directions: (n, 3) of the rays that landed there.
         """
-        parts = [column.take(triangle) for column in self._flat]
+        parts = [column.take(triangle, mode="clip") for column in self._flat]
         sign = np.copysign(np.float32(1), -dot(parts, directions.T))
         flat = join(*(part * sign for part in parts))
         smooth = np.flatnonzero(self.smooth[triangle]) if self._any_smooth else ()

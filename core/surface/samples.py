@@ -6,8 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..memory import slices
 from ..rays import sample_map
 from ..scene import Scene
+
+PASSING = 300
+"""Bytes of a sample while it is made."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,15 @@ def no_samples() -> SurfaceSamples:
 
 def sample_triangles(scene: Scene, triangle: np.ndarray, weights: np.ndarray) -> SurfaceSamples:
     """Samples at barycentric `weights` (n, 3) of triangles (n,)."""
-    weights = weights.astype(np.float32)
+    triangle, weights = triangle.astype(np.int32, copy=False), weights.astype(np.float32, copy=False)
+    position, normal, flat = (np.empty((len(triangle), 3), np.float32) for _ in range(3))
+    for s in slices(len(triangle), PASSING):
+        position[s], normal[s], flat[s] = _places(scene, triangle[s], weights[s])
+    return SurfaceSamples(position, normal, flat, triangle, weights)
+
+
+def _places(scene, triangle, weights):
+    """Positions, shading and geometric normals, (n, 3) float32 each."""
     corners = scene.positions[scene.triangles[triangle]]
     position = np.einsum("nk,nkd->nd", weights, corners)
     flat = unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
@@ -73,8 +85,7 @@ def sample_triangles(scene: Scene, triangle: np.ndarray, weights: np.ndarray) ->
     # opposite corner normals can cancel; the face's own normal is the best guess there
     normal = np.where(length > 1e-6, normal / np.maximum(length, 1e-6), flat)
     facing = np.einsum("nd,nd->n", flat, normal)
-    flat = np.where(facing[:, None] < 0, -flat, flat)
-    return SurfaceSamples(position, normal.astype(np.float32), flat, triangle.astype(np.int32), weights)
+    return position, normal, np.where(facing[:, None] < 0, -flat, flat)
 
 
 def inside_triangle(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -15,6 +15,10 @@ GUTTER = 16
 """Texels past a chart's border that are filled, so that filtering and mip maps never read black."""
 
 
+THIN = 2048
+"""Charts' triangles whose edges are followed together, from texel to texel."""
+
+
 @dataclass(frozen=True)
 class Texels:
     """Texels that lie on, or within one texel of, a chart.
@@ -37,14 +41,14 @@ class Texels:
         """The texels at `rows` only."""
         return replace(self, samples=self.samples.take(rows), index=self.index[rows], centred=self.centred[rows])
 
-    def fill(self) -> np.ndarray:
-        """(resolution²,) int32: for each texel of the atlas the row of `self` that it shows.
+    def fill(self, kept: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """(resolution²,) int32: for each texel of the atlas the row of `self`, of those at `kept` if given, that it shows.
 
         Texels without a row take the nearest one's within GUTTER texels, −1 beyond.
         """
         size = self.resolution
         rows = np.full((size, size), -1, np.int32)
-        rows.reshape(-1)[self.index] = np.arange(len(self), dtype=np.int32)
+        rows.reshape(-1)[self.index[kept]] = np.arange(len(self), dtype=np.int32)[kept]
         # nearest by growing rings: straight neighbours before diagonal ones
         steps = [(0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)]
         for _ in range(GUTTER):
@@ -76,21 +80,25 @@ def make_texels(scene: Scene, resolution: int) -> Texels:
     flat[:, :, :2] = scene.atlas_uv[placed] * resolution
     charts = Bvh(flat)
 
-    def find(xy):
-        """Chart triangle, u and v under (n, 2) places in texels."""
+    def find(count, places):
+        """Chart triangle, u and v under `count` places; places(slice): (m, 2) of them in texels."""
+        triangle, u, v = np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.float32)
 
         def part(piece):
             origins = np.ones((piece.stop - piece.start, 3), np.float32)
-            origins[:, :2] = xy[piece]
+            origins[:, :2] = places(piece)
             down = np.tile(np.array([0, 0, -1], np.float32), (len(origins), 1))
-            return charts.hits(origins, down)
+            hits = charts.hits(origins, down)
+            triangle[piece], u[piece], v[piece] = hits.triangle, hits.u, hits.v
 
-        parts = in_threads(part, chunks(len(xy)))
-        return tuple(np.concatenate([getattr(p, k) for p in parts]) for k in ("triangle", "u", "v"))
+        in_threads(part, chunks(count))
+        return triangle, u, v
 
-    column, row = np.meshgrid(np.arange(resolution), np.arange(resolution))
-    centre = np.stack([column.ravel(), row.ravel()], 1).astype(np.float32) + np.float32(0.5)
-    triangle, u, v = find(centre)
+    def centre(index):
+        """(m, 2) float32 middles of texels."""
+        return np.stack([index % resolution, index // resolution], 1).astype(np.float32) + np.float32(0.5)
+
+    triangle, u, v = find(resolution**2, lambda piece: centre(np.arange(piece.start, piece.stop)))
     centred = triangle >= 0
     # texels whose centre is off the chart but which bilinear filtering reads: the nearest place that is on it
     steps = np.linspace(-1, 1, 7, dtype=np.float32)
@@ -101,22 +109,28 @@ def make_texels(scene: Scene, resolution: int) -> Texels:
     for offset in offsets:
         if not len(left):
             break
-        found, fu, fv = find(centre[left] + offset)
+        found, fu, fv = find(len(left), lambda piece, left=left, offset=offset: centre(left[piece]) + offset)
         hit = found >= 0
         rows = left[hit]
         triangle[rows], u[rows], v[rows] = found[hit], fu[hit], fv[hit]
         left = left[~hit]
     # charts thinner than the probes' spacing
-    for piece in chunks(len(flat), 65536):
+    for piece in chunks(len(flat), THIN):
         crossed, owner, inside = _crossed(flat[piece], resolution)
         lost = triangle[crossed] < 0
         crossed, owner, inside = crossed[lost], owner[lost] + piece.start, inside[lost]
         triangle[crossed], u[crossed], v[crossed] = owner, inside[:, 1], inside[:, 2]
     index = np.flatnonzero(triangle >= 0).astype(np.int32)
-    weights = np.stack([1 - u[index] - v[index], u[index], v[index]], 1)
+    # in place: there can be many millions
+    weights = np.empty((len(index), 3), np.float32)
+    weights[:, 1], weights[:, 2] = u[index], v[index]
+    weights[:, 0] = 1 - weights[:, 1] - weights[:, 2]
+    np.clip(weights, 0, 1, out=weights)
     # off the very edge, where a wall may stand
-    weights = 0.999 * np.clip(weights, 0, 1) + 0.001 / 3
-    samples = sample_triangles(scene, placed[triangle[index]], weights)
+    weights *= np.float32(0.999)
+    weights += np.float32(0.001 / 3)
+    triangle = placed.astype(np.int32)[triangle[index]]
+    samples = sample_triangles(scene, triangle, weights)
     return Texels(samples, index, centred[index], resolution)
 
 

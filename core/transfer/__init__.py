@@ -1,6 +1,6 @@
 """How light passes between surfaces: gather once with cosine rays, solve all bounces by linear algebra."""
 
-from .elements import Elements, ElementTransport, find_elements, make_element_transport
+from .elements import Elements, ElementTransport, Links, find_elements, link_elements
 from .entries import Entries, find_entries
 from .gather import Begun, Gatherer
 from .transport import Transport, make_gatherer, make_piece_gatherer, make_transport
@@ -11,10 +11,11 @@ __all__ = [
     "Elements",
     "Entries",
     "Gatherer",
+    "Links",
     "Transport",
     "find_elements",
     "find_entries",
-    "make_element_transport",
+    "link_elements",
     "make_gatherer",
     "make_piece_gatherer",
     "make_transport",

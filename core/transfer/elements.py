@@ -22,7 +22,8 @@ from .entries import MAX_ALBEDO, PLACES, Entries, entries_of_sides
 from .gather import ROWS as GATHERED
 from .gather import Gatherer
 from .pairs import far_pairs
-from .transport import Bounces, Spots, Transport
+from .spots import Seen, Spots
+from .transport import Bounces, Transport
 
 NEAR = 3.0
 """Entries within this many times their mean size of each other exchange light element by element."""
@@ -77,16 +78,11 @@ def find_elements(
 
 
 @dataclass(frozen=True)
-class ElementTransport(Bounces):
-    """Transport between elements: far light from entry to entry by `whole`, near light from element to element.
+class Links:
+    """What n elements of m entries exchange. far: (m, m) float32, what of the light between entries is not in `near`.
+    factor: (n,) float32, how much of its entry's far light an element receives, of mean 1. starts: (n + 1,) int64, near:
+    (p,) int32 and weight: (p,) float32: the elements near[starts[i]:starts[i + 1]] send their `weight` to element i."""
 
-    whole: between the entries. far: (m, m) float32, what of whole.between is not in `near`. factor:
-    (n,) float32, how much of its entry's far light an element receives, of mean 1. starts: (n + 1,) int64, near: (p,)
-    int32 and weight: (p,) float32: the elements near[starts[i]:starts[i + 1]] send their `weight` to element i. The sky is the same for all elements of an entry.
-    """
-
-    elements: Elements
-    whole: Transport
     far: np.ndarray
     factor: np.ndarray
     starts: np.ndarray
@@ -96,6 +92,21 @@ class ElementTransport(Bounces):
     def __len__(self) -> int:
         return len(self.factor)
 
+
+@dataclass(frozen=True)
+class ElementTransport(Bounces):
+    """Transport between elements: far light from entry to entry, near light from element to element.
+
+    whole: between the entries. The sky is the same for all elements of an entry.
+    """
+
+    elements: Elements
+    whole: Transport
+    links: Links
+
+    def __len__(self) -> int:
+        return len(self.links)
+
     @cached_property
     def between(self) -> np.ndarray:
         """(n, n) float32: all of it, for tests of a few elements."""
@@ -104,9 +115,9 @@ class ElementTransport(Bounces):
     def arriving(self, values: np.ndarray) -> np.ndarray:
         """(n, c) float32 irradiance of the elements by radiosity `values` (n, c)."""
         values = values.astype(np.float32, copy=False)
-        elements = self.elements
-        first = np.searchsorted(elements.entry, np.arange(len(self.far)))
-        mean = np.empty((len(self.far), values.shape[1]), np.float32)
+        elements, links = self.elements, self.links
+        first = np.searchsorted(elements.entry, np.arange(len(links.far)))
+        mean = np.empty((len(links.far), values.shape[1]), np.float32)
         result = np.empty(values.shape, np.float32)
         columns = chunks(values.shape[1], COLUMNS)
 
@@ -114,19 +125,19 @@ class ElementTransport(Bounces):
             np.add.reduceat(values[:, s] * elements.share[:, None], first, axis=0, out=mean[:, s])
 
         in_threads(average, columns)
-        distant = self.far @ mean
+        distant = links.far @ mean
 
         def bring(s):
             part = np.ascontiguousarray(values[:, s])
             for rows in self._pieces:
-                found = distant[:, s].take(elements.entry[rows], axis=0) * self.factor[rows, None]
-                mine = slice(self.starts[rows.start], self.starts[rows.stop])
-                landed = part.take(self.near[mine], axis=0)
-                landed *= self.weight[mine, None]
-                count = np.diff(self.starts[rows.start : rows.stop + 1])
+                found = distant[:, s].take(elements.entry[rows], axis=0) * links.factor[rows, None]
+                mine = slice(links.starts[rows.start], links.starts[rows.stop])
+                landed = part.take(links.near[mine], axis=0)
+                landed *= links.weight[mine, None]
+                count = np.diff(links.starts[rows.start : rows.stop + 1])
                 some = np.flatnonzero(count)
                 if len(some):
-                    at = self.starts[rows.start : rows.stop][some] - mine.start
+                    at = links.starts[rows.start : rows.stop][some] - mine.start
                     found[some] += np.add.reduceat(landed, at, axis=0)
                 result[rows, s] = found
 
@@ -140,52 +151,62 @@ class ElementTransport(Bounces):
     @cached_property
     def _pieces(self) -> list[slice]:
         """Elements whose near light is added up together: about 64K numbers a column."""
-        size = max(1, int(65536 * len(self) / max(len(self.near), 1)))
+        size = max(1, int(65536 * len(self) / max(len(self.links.near), 1)))
         return chunks(len(self), size)
 
     def leaving(self, rows: np.ndarray | slice, values: np.ndarray) -> np.ndarray:
         """(k, n) float32, values.T @ F[rows]: what `values` (rows, k) of elements make of each one's radiosity."""
-        elements, rows = self.elements, np.arange(len(self))[rows]
+        elements, links, rows = self.elements, self.links, np.arange(len(self))[rows]
         entry, place = np.unique(elements.entry[rows], return_inverse=True)
-        scaled = values * self.factor[rows, None]
+        scaled = values * links.factor[rows, None]
         distant = np.stack([np.bincount(place, scaled[:, k], len(entry)) for k in range(values.shape[1])], 1)
-        result = (distant.T.astype(np.float32) @ self.far[entry]).take(elements.entry, axis=1)
+        result = (distant.T.astype(np.float32) @ links.far[entry]).take(elements.entry, axis=1)
         result *= elements.share
         pick, owner = self._near_of(rows)
-        near, weight = self.near[pick], self.weight[pick]
+        near, weight = links.near[pick], links.weight[pick]
         for k in range(values.shape[1]):
             result[k] += np.bincount(near, weight * values[owner, k], len(self))
         return result
 
     def spots(self, rows: np.ndarray, glow: np.ndarray) -> Spots:
-        """As of Transport: of each entry, all of whose elements glow alike, and of each element near to one of `rows`."""
-        elements = self.elements
-        own, count = elements.entry, len(self.far)
+        """As of Transport: of each entry, all of whose elements glow alike, and of each element near to one of `rows`,
+        which are in ascending order."""
+        elements, links = self.elements, self.links
+        own, count = elements.entry, len(links.far)
         faint = np.bincount(own, np.where(glow > 0, 1 / np.maximum(glow, 1e-30), 0), count)
         whole = np.where(faint > 0, 1 / np.maximum(faint, 1e-30), 0).astype(np.float32)
         pick, row = self._near_of(rows)
-        distant = self.far.take(own[rows], axis=0) * self.factor[rows, None]
-        groups = distant.copy()
-        groups += np.bincount(row * count + own[self.near[pick]], self.weight[pick], groups.size).reshape(groups.shape)
-        single, place = np.unique(self.near[pick], return_inverse=True)
-        ones = distant.take(own[single], axis=1) * elements.share[single]
-        ones += np.bincount(row * len(single) + place, self.weight[pick], ones.size).reshape(ones.shape)
+        single, place = np.unique(links.near[pick], return_inverse=True)
+        entry, part = np.unique(own[rows], return_inverse=True)
+        seen = Seen(
+            far=links.far[entry],
+            place=part,
+            factor=links.factor[rows],
+            group=whole,
+            spot=glow[single],
+            own=own[single],
+            share=elements.share[single],
+            row=row,
+            single=place,
+            weight=links.weight[pick],
+        )
 
         def radiosity(values):
             found = (whole[:, None] * values[:count]).take(own, axis=0)
             found[single] += glow[single, None] * values[count:]
             return found
 
-        return Spots(np.concatenate([groups * whole, ones * glow[single]], 1), radiosity)
+        return Spots(seen, radiosity)
 
     def _near_of(self, rows):
         """Places in `near` that belong to elements `rows`, and which of these each belongs to."""
-        count = self.starts[rows + 1] - self.starts[rows]
+        starts = self.links.starts
+        count = starts[rows + 1] - starts[rows]
         owner = np.repeat(np.arange(len(rows)), count)
-        return np.arange(len(owner)) + np.repeat(self.starts[rows] - (np.cumsum(count) - count), count), owner
+        return np.arange(len(owner)) + np.repeat(starts[rows] - (np.cumsum(count) - count), count), owner
 
 
-def make_element_transport(
+def link_elements(
     entries: Entries,
     elements: Elements,
     whole: Transport,
@@ -193,7 +214,7 @@ def make_element_transport(
     rays: int,
     seed: int = 0,
     tick: Callable[[int], None] | None = None,
-) -> ElementTransport:
+) -> Links:
     """From `whole` between entries: what two near entries exchange is shared among their elements by the geometric term
     between these, which is exact but for shadows' edges within the pair; what elements exchange that all but touch, by
     where `rays` cosine rays of each land. gatherer: names elements."""
@@ -243,12 +264,15 @@ def make_element_transport(
     # what is close to an element hides what is far
     own = elements.entry
     brought = np.bincount(to, weight, len(elements))
+    # slivers are few rays' and few looks' guess: what they are brought may not multiply light, or the solve diverges
+    weight /= np.maximum(brought * MAX_ALBEDO, 1).astype(np.float32)[to]
+    brought = np.minimum(brought, 1 / MAX_ALBEDO)
     reach, distant = whole.between.sum(axis=1), far.sum(axis=1)
     factor = np.where(distant[own] > 0, np.maximum(reach[own] - brought, 0) / np.maximum(distant[own], 1e-30), 1)
     factor /= np.maximum(np.bincount(own, factor * elements.share, count), 1e-30)[own]
     # all of it may not multiply light
     factor = np.minimum(factor, np.maximum(1 / MAX_ALBEDO - brought, 0) / np.maximum(distant[own], 1e-30))
-    return ElementTransport(elements, whole, far, factor.astype(np.float32), starts, near, weight)
+    return Links(far, factor.astype(np.float32), starts, near, weight)
 
 
 def _touching(elements, gatherer, rays, seed, tick):

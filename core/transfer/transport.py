@@ -18,21 +18,13 @@ from ..surface import Patches
 from .entries import MAX_ALBEDO, PLACES, Entries
 from .gather import Gatherer
 from .pairs import far_pairs, sample_pairs
+from .spots import Spots
 
 PAIR_SAMPLES = 2
 """Rays between each pair of entries at middling distance."""
 
 PAIR_ERROR = 0.005
 """Relative error of a row's sum over sampled pairs."""
-
-
-@dataclass(frozen=True)
-class Spots:
-    """seen: (rows, g) float32 irradiance of some entries by each of g small sources. radiosity: from values (g, k), how
-    much of each source, to the radiosity (n, k) of all entries."""
-
-    seen: np.ndarray
-    radiosity: Callable[[np.ndarray], np.ndarray]
 
 
 class Bounces:

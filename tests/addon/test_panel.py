@@ -20,7 +20,7 @@ def test_before_a_bake(room):
     for cls in (panel.LIGHTPANES_PT_results, panel.LIGHTPANES_PT_debug):
         assert draw(cls) is None
     assert texts(draw(panel.LIGHTPANES_PT_quality), "prop") == ["error_target", "time_budget", "resolution"]
-    assert texts(draw(panel.LIGHTPANES_PT_advanced), "prop") == ["exits", "photons", "seed"]
+    assert texts(draw(panel.LIGHTPANES_PT_advanced), "prop") == ["exits", "photons", "memory_budget", "seed"]
 
 
 def test_obstacles_have_their_buttons(room):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 import tracemalloc
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from lightpanes.core import metrics
@@ -31,7 +31,6 @@ OVER_POINTS = 1 / 40
 FIRST, REFINED = 0.060, 0.5
 MEMORY, MANY = 300e6, 10_000_000
 REPEATS = 7
-CYCLES_SAMPLES = 64
 
 Line = list[tuple[float, float, float]]
 """(photons, seconds, error), from few photons to many."""
@@ -109,8 +108,10 @@ def rows() -> Iterator[dict]:
     caustic_charts.draw({name: bench.lines for name, bench in benches.items()})
     pictures = {name: bench.irradiance(bench.lamp().power())[..., 0] for name, bench in benches.items()}
     caustic_charts.draw_pictures(pictures, {name: sum(b.halves)[..., 0] / 2 for name, b in benches.items()})
-    yield cycles_row(benches["sphere"])
     yield memory_row(benches["ring"])
+    from . import caustic_cycles
+
+    yield from caustic_cycles.rows()
 
 
 def energy_rows(bench: Bench) -> Iterator[dict]:
@@ -222,40 +223,3 @@ def memory_row(bench: Bench) -> dict:
     tracemalloc.stop()
     detail = f"{used / 1e6:.1f} M photons used"
     return harness.row("caustics: memory with a budget of 10 M photons", peak / 1e6, MEMORY / 1e6, "MB", detail=detail)
-
-
-def cycles_row(bench: Bench) -> dict:
-    """A lamp of 3 cm on the ball of glass: seconds for equal error, Cycles' error falling as the root of its samples."""
-    from . import caustic_cycles
-
-    side, light = 128, replace(bench.stage.lamp, radius=0.03)
-    atlas = CausticAtlas(bench.stage.scene, side)
-    halves = [
-        caustic_references.points(atlas._surfaces, atlas._receivers, light, 2e6, seed, lamp_points=256) * light.power[0]
-        for seed in (3, 4)
-    ]
-    halves = [metrics.block_average(atlas._receivers.irradiance(h).reshape(side, side))[0] for h in halves]
-    expected = (halves[0] + halves[1]) / 2
-    own = ((halves[0] - halves[1]) ** 2).mean() / 4
-    level = np.sqrt((expected**2).mean())
-    ours, floor = [], caustic_cycles.build(bench.stage.scene, light)
-    for _ in range(3):
-        atlas._lamps = {}
-        began = time.perf_counter()
-        image = atlas.image([light], PHOTONS)
-        ours.append(time.perf_counter() - began)
-    squared = ((metrics.block_average(image[..., :1])[0] - expected) ** 2).mean()
-    error = np.sqrt(max(squared - own, 0.0)) / level
-    baked = [caustic_cycles.bake(floor, side, CYCLES_SAMPLES, seed) for seed in (1, 2)]
-    seconds = min(spent for _, spent in baked)
-    noise = metrics.block_average(baked[0][0] - baked[1][0])[0]
-    noise = np.sqrt((noise**2).mean() / 2) / level
-    # where the ball keeps direct light away, both show the same light
-    middle = expected[..., 0] > 0.2 * expected.max()
-    both = metrics.block_average((baked[0][0] + baked[1][0]) / 2)[0][..., 0]
-    detail = (
-        f"ours {min(ours):.2f} s, error {error:.3f} (reference's noise {np.sqrt(own) / level:.3f}); Cycles {seconds:.1f} s, error {noise:.2f}; "
-        f"in the focus ours over Cycles {metrics.block_average(image[..., :1])[0][middle, 0].sum() / both[middle].sum():.3f}"
-    )
-    needed = seconds * (noise / error) ** 2
-    return harness.row("caustics: time over Cycles' for equal error", min(ours) / needed, 1 / 1000, detail=detail)

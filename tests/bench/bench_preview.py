@@ -128,7 +128,7 @@ def _interior(scene):
 def _times(surfaces, lighting, scene):
     """Frames of one bounce and of occlusion, beside the rays that they trace."""
     at = _interior(scene)
-    kinds = {"one-bounce RGB": {"bounces": 1, "split": False}, "AO and one-bounce RGB": {"bounces": 1}}
+    kinds = {"one-bounce RGB": {"bounces": 1, "passes": ()}, "AO and one-bounce RGB": {"bounces": 1, "passes": ("AO",)}}
     for kind, settings in kinds.items():
         still = _preview(surfaces, lighting, at(0), places=1, **settings)
         moving = _preview(surfaces, lighting, at(0), places=1, **settings)
@@ -184,7 +184,7 @@ def _bias(surfaces, lighting, camera):
 
 def _begin(camera):
     surfaces, lighting, _ = _read(bpy.context.scene)
-    return _preview(surfaces, lighting, camera, split=False, places=render.PLACES)
+    return _preview(surfaces, lighting, camera, passes=(), places=render.PLACES)
 
 
 def _jump(surfaces, lighting, camera):
@@ -214,7 +214,7 @@ def _jump(surfaces, lighting, camera):
 def _navigation(surfaces, lighting, scene):
     """Frames a second while the camera moves and a bake holds the indirect light."""
     at = _interior(scene)
-    preview = _preview(surfaces, lighting, at(0), places=1, split=False)
+    preview = _preview(surfaces, lighting, at(0), places=1, passes=())
     best = np.inf
     for step in range(16):
         started = time.perf_counter()

@@ -3,7 +3,9 @@
 `python -m tests.bench scaling` runs the sizes that take seconds, `LIGHTPANES_SCALING=full` in the environment those up
 to the ends of the axes, too; every point is a process of its own, so that its largest memory is its own. It fits
 exponents to the upper half of each axis (least squares of the logarithms), and writes scaling.json and scaling.png to
-out/bench; `python -m tests.bench.bench_scaling` draws docs/scaling.png from that JSON.
+out/bench; `python -m tests.bench.bench_scaling` draws docs/scaling.png from that JSON. The whole takes most of an hour:
+`python -m tests.bench.bench_scaling keep AXIS SIZE …` measures single points into the JSON, and `LIGHTPANES_SCALING=kept`
+makes the rows of what is there.
 """
 
 from __future__ import annotations
@@ -181,16 +183,19 @@ SQUARED = {"texels", "texel exits"}
 
 
 def rows(only: tuple[str, ...] = ()) -> Iterator[dict]:
-    full = os.environ.get("LIGHTPANES_SCALING") == "full"
+    asked = os.environ.get("LIGHTPANES_SCALING")
     for name in only or AXES:
         axis = AXES[name]
-        points = []
-        for size in axis.sizes + (axis.more if full else ()):
+        points = _kept().get(name, {"points": []})["points"] if asked == "kept" else []
+        for size in () if asked == "kept" else axis.sizes + (axis.more if asked == "full" else ()):
             point = measure_alone(name, size)
             points.append(point)
             if "error" in point:
                 break
-        _keep(name, points)
+        if not points:
+            continue
+        if asked != "kept":
+            _keep(name, points)
         good = [point for point in points if "error" not in point]
         detail = "; ".join(f"{p['size']}: {p['cpu']:.2f} s, {p['held']:.0f} MiB" for p in good)
         for what, unit in (("cpu", "time"), ("held", "memory")):
@@ -201,7 +206,7 @@ def rows(only: tuple[str, ...] = ()) -> Iterator[dict]:
         if failed:
             most, detail = np.inf, f"at {failed[0]['size']}: {failed[0]['error']}"
         yield harness.row(f"scaling: {name}, largest memory of a bake", most, MOST_MEMORY, "GiB", detail=detail)
-    draw(json.loads((harness.OUT / "scaling.json").read_text("utf-8")), harness.OUT / "scaling.png")
+    draw(_kept(), harness.OUT / "scaling.png")
 
 
 def exponent(name: str, points: list[dict], what: str) -> float:
@@ -246,10 +251,23 @@ def memory(kind: str) -> float:
     return int(line.split()[1]) / 1024
 
 
+def keep(name: str, sizes: list[int]) -> None:
+    """Measure points of an axis anew, beside those of its others that were measured before."""
+    for size in sizes:
+        point = measure_alone(name, size)
+        print(name, json.dumps(point), flush=True)
+        others = [p for p in _kept().get(name, {"points": []})["points"] if p["size"] != size]
+        _keep(name, sorted([*others, point], key=lambda p: p["size"]))
+
+
+def _kept() -> dict:
+    place = harness.OUT / "scaling.json"
+    return json.loads(place.read_text("utf-8")) if place.exists() else {}
+
+
 def _keep(name: str, points: list[dict]) -> None:
     """Write an axis' points over those of an earlier run."""
-    place = harness.OUT / "scaling.json"
-    held = json.loads(place.read_text("utf-8")) if place.exists() else {}
+    place, held = harness.OUT / "scaling.json", _kept()
     held[name] = {"label": AXES[name].label, "points": points}
     held["machine"], held["date"] = harness.machine(), time.strftime("%Y-%m-%d")
     harness.OUT.mkdir(parents=True, exist_ok=True)
@@ -286,8 +304,11 @@ def draw(held: dict, place: Path) -> None:
 
 
 if __name__ == "__main__":
+    if sys.argv[1:2] == ["keep"]:
+        keep(sys.argv[2], [int(size) for size in sys.argv[3:]])
+        sys.exit()
     if len(sys.argv) > 2:
         print(json.dumps(measure(sys.argv[1], int(sys.argv[2]))), flush=True)
         # Blender 4.5 as a module can hang in its exit handlers
         os._exit(0)
-    draw(json.loads((harness.OUT / "scaling.json").read_text("utf-8")), harness.ROOT / "docs" / "scaling.png")
+    draw(_kept(), harness.ROOT / "docs" / "scaling.png")

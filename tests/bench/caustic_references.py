@@ -27,15 +27,24 @@ BATCH = 1 << 18
 
 
 def reference(
-    name: str, surfaces: Surfaces, receivers: Receivers, light: Light, photons: float = PHOTONS
+    name: str,
+    surfaces: Surfaces,
+    receivers: Receivers,
+    light: Light,
+    photons: float = PHOTONS,
+    lamp_points: int = 1,
 ) -> np.ndarray:
-    """(2, resolution², c) float64 W at each texel, two independent halves of so many stratified photons."""
+    """(2, resolution², c) float64 W at each texel, two independent halves of so many stratified photons, from as many points
+    of a soft lamp."""
     scene = surfaces.scene
-    key = hashlib.sha256(scene.positions.tobytes() + repr((light.geometry, scene.materials, photons)).encode())
+    asked = (light.geometry, scene.materials, photons, *([] if lamp_points == 1 else [lamp_points]))
+    key = hashlib.sha256(scene.positions.tobytes() + repr(asked).encode())
     path = CACHE / f"caustics_{name}_{receivers.resolution}_{key.hexdigest()[:16]}.npz"
     if path.exists():
         return np.load(path)["power"]
-    power = np.stack([points(surfaces, receivers, light, photons / 2, seed) for seed in (1, 2)])
+    power = np.stack(
+        [points(surfaces, receivers, light, photons / 2, seed, lamp_points=lamp_points) for seed in (1, 2)]
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
     np.savez_compressed(path, power=power)
     return power
@@ -61,7 +70,7 @@ def points(
     total = np.zeros((surfaces.channels, size * size))
     trees = []
     for caster in surfaces.casters.tolist():
-        squares = emitters(light, surfaces.bounding(caster, light), lamp_points, 0, surfaces.extent)
+        squares = emitters(light, surfaces.bounding(caster, light), lamp_points, seed, surfaces.extent)
         chosen = families(surfaces, squares[len(squares) // 2], caster) if squares else []
         for emitter in squares:
             trees += [(emitter, caster, int(f)) for f in chosen]

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from lightpanes.core.vectors import dot
 
 from .penumbra_scenes import box, grid
 
@@ -33,8 +34,10 @@ class Stage:
 
     def facing(self, triangle: np.ndarray, ways: np.ndarray) -> np.ndarray:
         """(n, 3) normals of triangles, on the side that rays come from."""
-        normal = self.normals[triangle]
-        normal[np.einsum("nd,nd->n", normal, ways) > 0] *= -1
+        normal = self.normals.take(triangle, axis=0)
+        away = np.copysign(np.float32(1), -dot(normal.T, ways.T))
+        for k in range(3):
+            normal[:, k] *= away
         return normal
 
 

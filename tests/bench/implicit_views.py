@@ -10,8 +10,9 @@ import numpy as np
 from lightpanes.core.files import replacing
 from lightpanes.core.preview.camera import Camera
 from lightpanes.core.rays import Bvh, chunks
-from lightpanes.core.sampling import PLASTIC, cosine_hemisphere, frame, hammersley_points, hash_uniform
+from lightpanes.core.sampling import PLASTIC, frame_parts, hammersley_points, hash_uniform
 from lightpanes.core.threads import in_threads
+from lightpanes.core.vectors import around, dot, join, scaled, split
 
 from . import harness
 from .implicit_scenes import STAGES, Stage
@@ -35,16 +36,6 @@ class View:
     footprint: np.ndarray
     hit: np.ndarray
     pixel: np.ndarray
-
-    @functools.cached_property
-    def sides(self) -> tuple[np.ndarray, np.ndarray]:
-        """(n, 3) float32 across and along surfaces."""
-        return tuple(
-            np.concatenate(part) for part in zip(*in_threads(self._sides, chunks(len(self.normal), PIECE)), strict=True)
-        )
-
-    def _sides(self, part):
-        return frame(self.normal[part])
 
     def image(self, value: np.ndarray) -> np.ndarray:
         """(HEIGHT, WIDTH) float32; the sky is open, 1."""
@@ -76,9 +67,10 @@ def look(stage: Stage, bvh: Bvh, through: Camera) -> View:
         origin, way = origins[part], ways[part]
         hits = bvh.hits(origin, way)
         rows = np.flatnonzero(hits.triangle >= 0)
-        triangle, way = hits.triangle[rows], way[rows]
+        triangle, way = hits.triangle[rows], way.take(rows, axis=0)
         normal = stage.facing(triangle, way)
-        place = origin[rows] + hits.distance[rows, None] * way
+        place = scaled(way, hits.distance[rows])
+        place += origin.take(rows, axis=0)
         footprint = through.footprint(through.depth(place))
         return place + np.float32(1e-4) * normal, normal, stage.object_id[triangle], footprint, hits.triangle >= 0
 
@@ -89,55 +81,60 @@ def look(stage: Stage, bvh: Bvh, through: Camera) -> View:
 
 @functools.cache
 def _shifts() -> np.ndarray:
-    """(HEIGHT · WIDTH, 2) float32, where each pixel's sequence begins."""
+    """(2, HEIGHT · WIDTH) float32, where each pixel's sequence begins."""
     pixel = np.arange(HEIGHT * WIDTH)
-    return np.stack([hash_uniform(pixel, d, 1) for d in (0, 1)], axis=1)
+    return np.stack([hash_uniform(pixel, d, 1) for d in (0, 1)])
 
 
 def _cosine_rays(view, part, frame_number):
-    """(n, 3) one a pixel: each takes the R2 sequence, shifted."""
-    points = _shifts()[view.pixel[part]]
-    points += (np.array(PLASTIC) * (frame_number + 1) % 1).astype(np.float32)
-    points -= np.floor(points)
-    return _around(view.normal[part], [side[part] for side in view.sides], points)
+    """Three (n,) components of rays, one a pixel: each takes the R2 sequence, shifted."""
+    points = _shifts().take(view.pixel[part], axis=1)
+    for row, step in zip(points, PLASTIC, strict=True):
+        row += np.float32(step * (frame_number + 1) % 1)
+        row -= np.floor(row)
+    return _around(view.normal[part], points)
 
 
-def _around(normal, sides, points):
-    ways = normal.copy()
-    local = cosine_hemisphere(points)
-    ways *= local[:, 2:]
-    for k, side in enumerate(sides):
-        ways += local[:, k : k + 1] * side
-    return ways
+def _around(normal, points):
+    radius, angle = np.sqrt(points[0]), points[1] * np.float32(2 * np.pi)
+    return around(split(normal), radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - points[0]))
 
 
 def openness(view: View, bvh: Bvh, reach: float, frame_number: int) -> np.ndarray:
     """(n,) float32, 0 or 1, of one cosine ray a pixel."""
 
     def trace(part):
-        return ~bvh.occluded(view.position[part], _cosine_rays(view, part, frame_number) * np.float32(reach))
+        ways = [row * np.float32(reach) for row in _cosine_rays(view, part, frame_number)]
+        return ~bvh.occluded(view.position[part], join(*ways))
 
     return np.concatenate(in_threads(trace, chunks(len(view.position), PIECE))).astype(np.float32)
 
 
 def one_bounce(view: View, bvh: Bvh, stage: Stage, lamp, frame_number: int) -> np.ndarray:
     """(n, 3) float32 light of a point lamp of π W/m² at 1 m that one cosine ray a pixel finds on coloured surfaces."""
-    lamp = np.asarray(lamp, np.float32)
-    colours = 0.2 + 0.6 * np.stack([hash_uniform(np.arange(int(stage.object_id.max()) + 1), d, 3) for d in range(3)], 1)
+    colours = [
+        np.float32(0.2) + np.float32(0.6) * hash_uniform(np.arange(int(stage.object_id.max()) + 1), d, 3)
+        for d in range(3)
+    ]
 
     def trace(part):
-        ways = _cosine_rays(view, part, frame_number)
-        hits = bvh.hits(view.position[part], ways)
+        position = view.position[part]
+        ways = join(*_cosine_rays(view, part, frame_number))
+        hits = bvh.hits(position, ways)
         light = np.zeros((len(ways), 3), np.float32)
         rows = np.flatnonzero(hits.triangle >= 0)
-        triangle, ways = hits.triangle[rows], ways[rows]
+        triangle, ways = hits.triangle[rows], ways.take(rows, axis=0)
         normal = stage.facing(triangle, ways)
-        place = view.position[part][rows] + hits.distance[rows, None] * ways + np.float32(1e-4) * normal
-        away = lamp - place
-        squared = np.einsum("nd,nd->n", away, away)
-        received = np.maximum(np.einsum("nd,nd->n", normal, away), 0) / (squared * np.sqrt(squared))
-        received *= ~bvh.occluded(place, away)
-        light[rows] = received[:, None] * colours[stage.object_id[triangle]]
+        place = scaled(ways, hits.distance[rows])
+        place += position.take(rows, axis=0)
+        place += np.float32(1e-4) * normal
+        away = [np.float32(lamp[k]) - place[:, k] for k in range(3)]
+        squared = dot(away, away)
+        received = np.maximum(dot(normal.T, away), 0) / (squared * np.sqrt(squared))
+        received *= ~bvh.occluded(place, join(*away))
+        owner = stage.object_id[triangle]
+        for k, colour in enumerate(colours):
+            light[rows, k] = received * colour.take(owner)
         return light
 
     return np.concatenate(in_threads(trace, chunks(len(view.position), PIECE)))
@@ -146,22 +143,22 @@ def one_bounce(view: View, bvh: Bvh, stage: Stage, lamp, frame_number: int) -> n
 def reference(view: View, bvh: Bvh, reach: float, rays: int = REFERENCE) -> np.ndarray:
     """(n,) float32 openness by so many rays a pixel."""
     lattice = hammersley_points(rays)
-    shift = np.stack([hash_uniform(view.pixel, d, 2) for d in (0, 1)], axis=1)
+    shift = np.stack([hash_uniform(view.pixel, d, 2) for d in (0, 1)])
 
     def trace(part):
         total = np.zeros(part.stop - part.start, np.float32)
+        up = split(view.normal[part]) * np.float32(reach)
+        sides = [[row * np.float32(reach) for row in side] for side in frame_parts(*split(view.normal[part]))]
         for point in lattice:
-            moved = shift[part] + point
-            total += ~_blocked(view, bvh, part, moved - np.floor(moved), reach)
+            moved = shift[:, part] + point[:, None]
+            moved -= np.floor(moved)
+            radius, angle = np.sqrt(moved[0]), moved[1] * np.float32(2 * np.pi)
+            a, b, c = radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - moved[0])
+            ways = join(*(t * a + s * b + n * c for t, s, n in zip(*sides, up, strict=True)))
+            total += ~bvh.occluded(view.position[part], ways)
         return total / rays
 
     return np.concatenate(in_threads(trace, chunks(len(view.position))))
-
-
-def _blocked(view, bvh, part, points, reach):
-    return bvh.occluded(
-        view.position[part], _around(view.normal[part], [side[part] for side in view.sides], points) * np.float32(reach)
-    )
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,15 @@ import os
 import pickle
 import shutil
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from lightpanes.core import footprint
 from lightpanes.core.bake import Bake, Cache, Cancelled, Kept, bake
 from lightpanes.core.bake.cache import decode, encode
 from lightpanes.core.files import replacing
-from lightpanes.core.transfer import Begun, Transport
+from lightpanes.core.transfer import Begun, Links, Transport
 
 from .shapes import quick
 from .test_kept import cancel_at, long, made, plain, same, whole
@@ -65,6 +67,18 @@ def test_a_bake_goes_on_in_another_process(cache, exits):
     assert files(cache)
     kept.clear()
     assert not files(cache)
+
+
+def test_a_bake_with_elements_goes_on_in_another_process(cache, monkeypatch):
+    monkeypatch.setattr(footprint, "BALANCED", 150)
+    settings = quick(entries=500)
+    alone = bake(made(), settings)
+    cancelled(cache, settings, "Lamps", 0.0)
+    rays = []
+    again = bake(made(), settings, lambda now: rays.append((now.stage, now.rays)), Kept(cache))
+    assert same(alone, again)
+    # neither the entries' transport nor their elements' was traced again
+    assert max(count for stage, count in rays if stage == "Transport") == 0
 
 
 def test_another_scene_or_other_settings_have_their_own(left):
@@ -149,6 +163,14 @@ def test_what_arrays_are_made_of():
     assert np.array_equal(again.between, transport.between) and np.array_equal(again.sky, transport.sky)
     begun = decode(encode(Begun(np.ones((2, 3), np.float32), {0, 8192})))
     assert begun.done == {0, 8192} and begun.rows.shape == (2, 3)
+    near = np.array([1, 0, 1], np.int32), np.ones(3, np.float32)
+    links = Links(transport.between[:2, :2], np.ones(2, np.float32), np.array([0, 1, 3]), *near)
+    again = decode(encode(links))
+    assert all(
+        np.array_equal(one, other) for one, other in zip(vars(links).values(), vars(again).values(), strict=True)
+    )
+    with pytest.raises(ValueError, match="not links"):
+        decode(encode(replace(links, starts=np.array([0, 1, 2]))))
     for part in (Begun(), object(), "text", np.array([object()], object)):
         assert encode(part) is None
 

@@ -177,7 +177,7 @@ def truth():
     made = shapes.room(lights=[shapes.lamp((3, 1.5, 2), radius=0.05)])
     surfaces, halves = Surfaces(made), []
     for seed in (100, 101):
-        settings = Settings(bounces=8, cached=False, places=1, seed=seed, split=True)
+        settings = Settings(bounces=8, cached=False, places=1, seed=seed)
         preview = Preview(surfaces, room_camera(), made.lights, None, settings)
         for _ in range(150):
             preview.frame()
