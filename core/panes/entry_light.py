@@ -79,21 +79,29 @@ class EntryLight:
         pick = _balanced_pair(self._position) if self.few == 2 else np.tile(np.arange(self.few), (count, 1))
         # place-major: the first block is one place on every entry
         self._few = tuple(v[np.arange(count), pick.T].reshape(-1, 3) for v in (self._position, self._normal))
+        self._few_apart = _apart(np.moveaxis(self._few[0].reshape(self.few, count, 3), 0, 1))
         self._first_piece = np.cumsum(surface.counts) - surface.counts
 
     def unit(self, light: Light) -> np.ndarray:
         """(n,) or (n, 3) float32 irradiance at unit power (see `lights.irradiance`)."""
+        return self.look(light)[0]
+
+    def look(self, light: Light) -> tuple[np.ndarray, np.ndarray]:
+        """The irradiance as `unit` has it, and its moment (n, 3) float32, times m: the mean over an entry's places of the
+        irradiance, times how far the place is from the middle of all."""
         count = len(self.surface)
         found = irradiance(light, *self._few, self.tracer.visibility, 1, self.seed)
-        found = found.reshape(self.few, count, *found.shape[1:]).mean(axis=0)
+        found = found.reshape(self.few, count, *found.shape[1:])
+        moment = np.einsum("kn,nkd->nd", _grey(found), self._few_apart) / np.float32(self.few)
+        found = found.mean(axis=0)
         near = self._near(light)
         if len(near):
-            closely = self._closely(light, near)
+            closely, moment[near] = self._closely(light, near)
             # tints are known where any ray was traced
             if closely.ndim > found.ndim:
                 found = np.repeat(found[:, None], 3, axis=1)
             found[near] = closely if closely.ndim == found.ndim else closely[:, None]
-        return found
+        return found, moment
 
     def _near(self, light):
         if light.kind == "SUN":
@@ -106,9 +114,11 @@ class EntryLight:
         position, normal = self._position[near], self._normal[near]
         places = position.reshape(-1, 3), normal.reshape(-1, 3)
         found = irradiance(light, *places, self.tracer.visibility, 1, self.seed)
-        found = found.reshape(len(near), self.each, *found.shape[1:]).mean(axis=1)
+        found = found.reshape(len(near), self.each, *found.shape[1:])
+        moment = np.einsum("nk,nkd->nd", _grey(found), _apart(position)) / np.float32(self.each)
+        found = found.mean(axis=1)
         if light.kind == "AREA":
-            return found
+            return found, moment
         vectors = light.position.astype(np.float32) - position
         distance2 = np.einsum("nkd,nkd->nk", vectors, vectors)
         facing = np.maximum(np.einsum("nkd,nkd->nk", vectors, normal), 0)
@@ -117,7 +127,7 @@ class EntryLight:
         # a soft lamp that touches the entry has no solid angle to speak of
         use = (plain > 0) & (distance2.min(axis=1) > (2 * light.radius) ** 2)
         scale = np.where(use, exact / np.where(plain > 0, plain, 1), 1).astype(np.float32)
-        return found * (scale if found.ndim == 1 else scale[:, None])
+        return found * (scale if found.ndim == 1 else scale[:, None]), moment * scale[:, None]
 
     def _solid_angle(self, entries, place):
         """(m,) sr that each entry's lit side fills, seen from `place` (Van Oosterom & Strackee 1983)."""
@@ -131,6 +141,16 @@ class EntryLight:
         dots = [np.einsum("nd,nd->n", *pair) for pair in ((a, b), (a, c), (b, c))]
         angle = 2 * np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * lb + dots[2] * la)
         return np.bincount(np.repeat(np.arange(len(entries)), counts), np.maximum(angle, 0), len(entries))
+
+
+def _apart(position):
+    """(n, k, 3) of places of entries: how far each is from their middle, m."""
+    return position - position.mean(axis=1, keepdims=True)
+
+
+def _grey(values):
+    """(a, b) of (a, b) or (a, b, 3)."""
+    return values if values.ndim == 2 else values.mean(axis=2)
 
 
 def _balanced_pair(position: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from ..rays import Tracer
 from ..scene import Light
 from .display import BLOCK, PointDisplay, TexelDisplay, row_values
 from .entry_light import EntryLight, EntrySurface
+from .unevenness import nearness, unevenness
 from .weights import PaneWeights
 
 
@@ -46,10 +48,11 @@ class Panes:
 
 @dataclass(frozen=True)
 class Known:
-    """Of a lamp: unit (n,) or (n, 3), irradiance of the entries at unit power, extra light left out; weights (m, 3) and
-    sketches (2, SKETCH, 3) as of PaneWeights.of_and_sketch."""
+    """Of a lamp: unit (n,) or (n, 3), irradiance of the entries at unit power, extra light left out; uneven (3,): W/m² at
+    unit power, see `unevenness`; weights (m, 3) and sketches (2, SKETCH, 3) as of PaneWeights.of_and_sketch."""
 
     unit: np.ndarray
+    uneven: np.ndarray
     weights: np.ndarray
     sketch: np.ndarray | None
 
@@ -68,6 +71,7 @@ class Relighter:
         self.panes, self.extra = panes, extra
         self.entry_light = EntryLight(panes.surface, tracer, seed)
         self._unit: dict[tuple, np.ndarray] = {}
+        self._uneven: dict[tuple, np.ndarray] = {}
         self._beside: dict[int, np.ndarray] = {}
         self._mean: np.ndarray | None = None
         self._weights: dict[tuple, tuple[np.ndarray, np.ndarray | None]] = {}
@@ -87,7 +91,7 @@ class Relighter:
 
     def pane_weights(self, lights: Sequence[Light]) -> np.ndarray:
         """(m, 3) float32 sum of all live lamps' weights; lamps seen before in the same place cost nothing."""
-        unit, weights, beside = {}, {}, {}
+        unit, weights, beside, uneven = {}, {}, {}, self._uneven
         for light in lights:
             if not light.live:
                 continue
@@ -105,17 +109,24 @@ class Relighter:
             if place not in unit:
                 unit[place] = self._unit.get(place)
                 if unit[place] is None:
-                    unit[place] = self.entry_light.unit(light)
+                    unit[place], moment = self.entry_light.look(light)
+                    uneven[place] = unevenness(moment, self.panes.surface.albedo, self.panes.surface.size, self.near)
             direct = unit[place] if unit[place].ndim == 2 else unit[place][:, None]
             if extra is not None:
                 direct = direct + extra
             weights[key] = (self.panes.weights.of_and_sketch(direct * light.power.astype(np.float32)), 1)
         self._unit, self._beside = unit, beside
+        self._uneven = {place: uneven[place] for place in unit}
         self._weights = {key: value for key, (value, _) in weights.items()}
         total = np.zeros((len(self.panes.weights.first), 3), np.float32)
         for (value, _), times in weights.values():
             total += value * np.float32(times)
         return total
+
+    @cached_property
+    def near(self) -> np.ndarray:
+        """(n,) of `nearness`: some thousand rays, once."""
+        return nearness(self.panes.surface, self.entry_light.tracer, self.entry_light.seed)
 
     def _key(self, light):
         """What a lamp's weights are known by, and its extra light."""
@@ -125,7 +136,9 @@ class Relighter:
     def known(self, light: Light) -> Known | None:
         """Of a lamp that shone when the weights were last asked for; None of any other."""
         key, _ = self._key(light)
-        return Known(self._unit[light.geometry], *self._weights[key]) if key in self._weights else None
+        if key not in self._weights:
+            return None
+        return Known(self._unit[light.geometry], self._uneven[light.geometry], *self._weights[key])
 
     def mean(self, weights: np.ndarray) -> float:
         """Mean irradiance over the surface and RGB for weights (m, 3), that of the light that no lamp changes included, W/m²."""
@@ -180,7 +193,7 @@ class Relighter:
         """
         whole = self.relight([light for group in groups for light in group])[..., :3].copy()
         steady = self._display.image(self._steady.copy())[..., :3].copy()
-        kept = self._unit, self._beside, self._weights
+        kept = self._unit, self._uneven, self._beside, self._weights
         parts = []
         for group in groups:
             light = self.combine(self.pane_weights(group)).copy()
@@ -189,7 +202,7 @@ class Relighter:
             above = self._display.image(light.copy())[..., :3].copy()
             parts.append(above - self._display.image(-light)[..., :3])
             # of all lamps, for the next group and the next relight
-            self._unit, self._beside, self._weights = kept
+            self._unit, self._uneven, self._beside, self._weights = kept
         if parts:
             parts[-1] += whole - steady - np.sum(parts, axis=0)
         return parts, steady

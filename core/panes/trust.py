@@ -1,8 +1,9 @@
 """How far the light can be trusted under the lamps as they are now: known before anybody looks.
 
 What the panes leave out of a lamp's field is measured at each relight, by a sketch that the bake keeps of it. All other
-error was measured by the bake for its test lamps. It grows as light gathers on few entries, whose size then shows and which
-few rays meet, and so it is scaled by how much more the present lamps do that.
+error was measured by the bake for its test lamps. Part of that has to do with where light comes from: noise, and the size of
+the entries. It grows as light gathers on few entries, which few rays meet and whose size then shows, and so it is scaled by
+the contrast of the present lamps' light over that of the test lamps'. The rest stays as it is.
 """
 
 from __future__ import annotations
@@ -18,7 +19,13 @@ from .weights import PaneWeights
 
 MARGIN = 1.5
 """Error over that of the bake itself from which on a lamp is worth a word, where the bake missed what was asked for: it is
-the mean of lamps that differ as much."""
+the mean of lamps that differ as much, and it was told."""
+
+KEPT = 0.5
+"""Part of what a sketch misses, entry by entry, that shows on blocks of texels at least, whatever else explains the error."""
+
+LEAST = 0.25
+"""Part of the mean square of what entries send out that counts as contrast even where light is quite even."""
 
 CLOSE = 1.0
 """A lamp is close to a surface within this many times the entry's size there."""
@@ -26,21 +33,35 @@ CLOSE = 1.0
 
 @dataclass(frozen=True)
 class Expected:
-    """Of a bake, relative RMSEs. target: asked for. error: measured, of the lamps that it was tried with; rest: all of that
-    which is not the panes'. gathered: `concentration` of these lamps, 0 where the bake is too old to know."""
+    """Of a bake, relative RMSEs. target: asked for. error: measured, of the lamps that it was tried with. Of that, grows: what
+    contrast makes larger, and still: what neither that nor the sketch knows of. seen: part of what the sketch misses that
+    shows on blocks of texels. contrast: of these lamps (`concentration`), 0 where the bake is too old to know."""
 
     target: float = 1.0
     error: float = 0.0
-    rest: float = 0.0
-    gathered: float = 0.0
+    grows: float = 0.0
+    still: float = 0.0
+    seen: float = 1.0
+    contrast: float = 0.0
+
+    @property
+    def limit(self) -> float:
+        """The error from which on the user must know: more than was asked for, and than the bake has said it has anyway."""
+        return self.target if self.error <= self.target else MARGIN * self.error
 
 
 def expected_of(report: Mapping) -> Expected:
     """From a bake's report."""
     error, parts = report.get("error") or 0.0, report.get("error_parts", {})
+    known = report.get("concentration") or {}
+    if not isinstance(known, Mapping):
+        known = {}
     # parts are measured one by one, and need not sum up to the whole
-    rest = min(float(np.sqrt(sum(part**2 for name, part in parts.items() if name != "panes"))), error)
-    return Expected(report.get("error_target", 1.0), error, rest, report.get("concentration", 0.0))
+    grows = min(float(np.sqrt(sum(part**2 for name, part in parts.items() if name != "panes"))), error)
+    left, missed = float(np.sqrt(error**2 - grows**2)), known.get("missed", 0.0)
+    still = float(np.sqrt(max(left**2 - missed**2, 0.0)))
+    seen = min(max(left / missed, KEPT), 1.0) if missed > 0 else 1.0
+    return Expected(report.get("error_target", 1.0), error, grows, still, seen, known.get("contrast", 0.0))
 
 
 @dataclass(frozen=True)
@@ -57,8 +78,8 @@ class Trust:
     nowhere: tuple[Light, ...]
 
     def warns(self, expected: Expected) -> bool:
-        """Whether the user must know: more error than was asked for, and than the bake has said it has anyway."""
-        return self.error is not None and self.error > max(expected.target, MARGIN * expected.error)
+        """Whether the user must know (`Expected.limit`)."""
+        return self.error is not None and self.error > expected.limit
 
 
 def trust(relighter: Relighter, lights: Sequence[Light], expected: Expected) -> Trust:
@@ -66,22 +87,45 @@ def trust(relighter: Relighter, lights: Sequence[Light], expected: Expected) -> 
     lamps = [(light, known) for light in lights if light.live and (known := relighter.known(light)) is not None]
     shining = [(light, known) for light, known in lamps if light.power.any()]
     nowhere = tuple(light for light, known in shining if not known.unit.any())
-    if any(known.sketch is None for _, known in shining) or not expected.gathered:
+    if any(known.sketch is None for _, known in shining) or not expected.contrast:
         return Trust(None, None, None, False, nowhere)
     level = relighter.mean(sum(known.weights for _, known in shining)) if shining else 0.0
     if level <= 0:
         return Trust(0.0, 0.0, None, False, nowhere)
 
-    def parts(sketch):
-        """What the panes leave out, and the rest, of the light of a sketch."""
-        missed, sent = rms(sketch)
-        return missed / level, expected.rest * max(sent / level / expected.gathered, least)
+    missed, sent = rms(sum(known.sketch for _, known in shining)) / level
+    missed *= expected.seen
+    # what a bake is tried with is no easier than other light
+    grown = expected.grows * max(contrast(sent) / expected.contrast, 1.0)
+    uneven = np.sqrt(sum(_uneven(one) ** 2 for one in shining)) / level
+    error = float(np.sqrt(missed**2 + grown**2 + uneven**2 + expected.still**2))
 
-    least = 1.0
-    panes, rest = parts(sum(known.sketch for _, known in shining))
-    least = 0.0
-    worst = max(shining, key=lambda one: np.hypot(*parts(one[1].sketch)))[0]
-    return Trust(float(np.hypot(panes, rest)), float(panes), worst, _is_close(relighter, worst), nowhere)
+    def share(one):
+        """What a lamp adds."""
+        missed, sent = rms(one[1].sketch) / level
+        return np.sqrt(
+            (expected.seen * missed) ** 2
+            + (expected.grows * sent / expected.contrast) ** 2
+            + (_uneven(one) / level) ** 2
+        )
+
+    worst = max(shining, key=share)[0]
+    return Trust(error, float(missed), worst, _is_close(relighter, worst), nowhere)
+
+
+def _uneven(one):
+    """W/m²: RMS over RGB of what is wrong because entries shine evenly, under a lamp of which that is known."""
+    light, known = one
+    return float(np.sqrt(np.mean((known.uneven * light.power) ** 2)))
+
+
+def contrast(sent: float) -> float:
+    """Of light with an RMS of `sent`, over the mean irradiance that it makes, in what entries send out.
+
+    Of a gather's rays each brings what an entry sends out, so their variance is the mean square of it but for that of the
+    irradiance, which in a room is about the square of the mean.
+    """
+    return float(np.sqrt(max(sent**2 - 1, LEAST * sent**2)))
 
 
 def rms(sketch: np.ndarray) -> np.ndarray:
@@ -89,20 +133,20 @@ def rms(sketch: np.ndarray) -> np.ndarray:
     return np.sqrt((sketch**2).sum(axis=(-2, -1)) / 3)
 
 
-def concentration(weights: PaneWeights, area: np.ndarray, direct: np.ndarray) -> float:
-    """RMS over the surface of what entries send out, over the mean irradiance that it makes; mean over lamps that light the
-    entries with `direct` (n, 3 s), three of which take red, green and blue.
-
-    A ray meets an entry about as often as that is large, so the noise of a gather is in proportion to this.
-    """
+def concentration(weights: PaneWeights, area: np.ndarray, direct: np.ndarray) -> dict[str, float]:
+    """Of lamps that light the entries with `direct` (n, 3 s), three of which take red, green and blue, means: "contrast" of
+    what entries send out, and "missed", the RMS of what panes leave out over the mean irradiance."""
     level = weights.mean(area)
     found = []
     for s in range(0, direct.shape[1], 3):
         values, sketch = weights.of_and_sketch(np.ascontiguousarray(direct[:, s : s + 3]))
         mean = level @ values
-        lit = mean > 0
-        found += (np.sqrt((sketch[1] ** 2).sum(axis=0))[lit] / mean[lit]).tolist()
-    return float(np.mean(found)) if found else 0.0
+        for c in np.flatnonzero(mean > 0):
+            missed, sent = np.sqrt((sketch[:, :, c] ** 2).sum(axis=1)) / mean[c]
+            found.append((contrast(sent), missed))
+    # mean squares, as errors add up
+    means = np.sqrt(np.mean(np.square(found), axis=0)) if found else (0.0, 0.0)
+    return {"contrast": float(means[0]), "missed": float(means[1])}
 
 
 def _is_close(relighter, light):

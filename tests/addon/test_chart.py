@@ -13,6 +13,7 @@ from lightpanes import addon  # noqa: E402
 from lightpanes.addon import (  # noqa: E402
     atlas,
     chart,
+    chart_page,
     commands,
     denoised,
     methods,
@@ -235,6 +236,7 @@ def test_command_writes_picture_and_figures(file, least, tmp_path, capsys):
     assert page.count("data:image/png;base64,") == 1 and "://" not in page
     for word in (said["date"], said["machine"], said["versions"], "Lightpanes", "room"):
         assert word in page
+    assert chart_page.figures(page) == [said]
     picture = bpy.data.images.load(str(folder / "room_chart.png"))
     assert min(picture.size) > 600
     pixels = np.array(picture.pixels, np.float32).reshape(-1, 4)[:, :3]
@@ -387,3 +389,31 @@ def test_references_take_as_many_samples_as_their_noise_asks_for(room, least, mo
     found = chart.measure(bpy.context, 32, names=("cycles",), indirect=indirect)
     assert asked.count(4) == 3 and found["reference_spp"] == [2 * spp for spp in asked if spp > 4]
     assert max(found["reference_noise"]) == pytest.approx(0.1, rel=0.5)
+
+
+def test_how_far_a_point_is_from_the_best():
+    """Of the row of `make bench ONLY=charts`: the same error in less time, less error in the same time."""
+    from ..bench.bench_charts import factors
+
+    def point(seconds, error):
+        return {"bake_s": seconds, "error": error}
+
+    ours, slower, rougher = point(6.0, 0.03), point(9.0, 0.01), point(1.0, 0.05)
+    assert factors(ours, [ours, slower, rougher]) == (1.0, 1.0)
+    time, error = factors(ours, [ours, slower, rougher, point(4.0, 0.025)])
+    assert time == 1.5 and error == pytest.approx(1.2)
+    assert factors(ours, []) == (1.0, 1.0)
+
+
+def test_figures_may_hold_anything():
+    odd = {
+        "scene": "</script><b>",
+        "date": "d",
+        "machine": "m",
+        "versions": "v",
+        "methods": {},
+        "notes": ["a </script> b"],
+    }
+    page = chart_page.page([odd], [[]])
+    assert chart_page.figures(page) == [odd] and page.count("</script>") == 1
+    assert chart_page.figures("<html></html>") == []

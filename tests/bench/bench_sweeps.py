@@ -1,9 +1,10 @@
 """Lamps that pass where panes are bad: 200 frames of each sweep, eigenpanes against clusters against Cycles.
 
-Error is against brute-force Embree (`sweeps.brute_force`, two halves whose noise is taken off) on every twentieth frame, for
+Error is against brute-force Embree (`brute_force.truth`, two halves whose noise is taken off) on every twentieth frame, for
 path tracing finds a lamp 1 cm above a floor too rarely: where Cycles' own noise allows, it checks the brute force. Flicker is
 against the uncompressed solve of more entries, on all frames. `Cycles` as a way is one bake at its usual samples a frame, its
-flicker on some frames in a row. The detector's word on each frame is held against the error.
+flicker on some frames in a row. The detector's word on each frame is held against the error, here and in sweeps of three
+other scenes, by which nothing was made (`sweep_detector`).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from lightpanes.core import metrics
 from lightpanes.core.bake import Settings
 from lightpanes.core.bake.steps import Prepared
 
-from . import cycles, harness, sweep_charts, sweep_scene, sweeps
+from . import brute_force, cycles, harness, sweep_charts, sweep_detector, sweep_scene, sweeps
 
 FRAMES, FIRST, STEP = 200, 5, 20
 SIZE = 64
@@ -30,6 +31,9 @@ TARGET = 0.1
 
 TRUTH = {"entries": 6000, "entry_rays": 512, "lamps": 50, "regions": 48, "panes": 4}
 TRUTH_RAYS = 256
+
+LARGE = {"entries": 6000, "entry_rays": 256, "exit_rays": 32, "lamps": 400, "regions": 192, "panes": 16}
+"""A bake whose relights are timed."""
 
 SPP = 192
 """Samples of each half of Cycles' references, which check the brute force."""
@@ -62,14 +66,31 @@ def _all_rows():
     truth = Settings(error_target=TARGET, resolution=SIZE, exits="texels", **TRUTH)
     all_sweeps = sweeps.Sweeps(made, settings, truth, TRUTH_RAYS)
     figures = {"target": TARGET, "estimate": all_sweeps.baked.report["error"], "frames": FRAMES, "sweeps": {}}
+    yield sweep_detector.cost(made, Settings(error_target=TARGET, resolution=SIZE, exits="texels", **LARGE))
     for name in sweeps.PATHS:
         found = all_sweeps.sweep(name, FRAMES)
         figures["sweeps"][name] = _judged(name, found, all_sweeps.fine)
         yield from _rows(name, figures["sweeps"][name])
-    yield from _detector(figures)
+    figures["detector"] = [frame for sweep in figures["sweeps"].values() for frame in _told(sweep)]
+    yield from sweep_detector.rows("sweeps", figures["detector"])
+    figures["held out"] = []
+    for name in sweeps.HELD_OUT:
+        found = sweep_detector.watch(name, SIZE, TARGET, truth)
+        figures["held out"] += found
+        yield from sweep_detector.rows(f"held-out sweeps, {name}", found)
+    yield from sweep_detector.rows("held-out sweeps", figures["held out"])
     harness.OUT.mkdir(parents=True, exist_ok=True)
     (harness.OUT / "sweeps.json").write_text(json.dumps(figures, indent=1) + "\n", "utf-8")
     sweep_charts.draw(figures)
+
+
+def _told(sweep) -> list[dict]:
+    """What the detector said of the frames that were judged."""
+    pairs = zip(sweep["frames"], sweep["errors"]["eigenpanes"], strict=True)
+    return [
+        sweep_detector.frame(sweep["expected"][k], sweep["warns"][k], sweep["nowhere"][k], error, TARGET)
+        for k, error in pairs
+    ]
 
 
 def _judged(name, found: sweeps.Swept, ready: Prepared) -> dict:
@@ -83,10 +104,7 @@ def _judged(name, found: sweeps.Swept, ready: Prepared) -> dict:
         if dark[frame]:
             continue
         light = sweeps.lamp(places[frame])
-        halves = np.zeros((2, SIZE * SIZE))
-        for seed in (0, 1):
-            halves[seed, ready.exits.index] = sweeps.brute_force(ready, light, seed)
-        halves = halves.reshape(2, SIZE, SIZE)
+        halves = brute_force.truth(ready, light, SIZE)
         truth = halves.mean(axis=0)
         sweep_scene.move_lamp(places[frame])
         one, written, _ = cycles_bake(bpy.context, {"INDIRECT"}, SIZE, USUAL, 50 + frame)
@@ -116,6 +134,7 @@ def _judged(name, found: sweeps.Swept, ready: Prepared) -> dict:
         "Cycles against the truth": np.mean(checks, axis=0).round(4).tolist() if checks else None,
         "flicker": {key: round(float(value), 5) for key, value in flicker.items()},
         "expected": [None if one.error is None else round(one.error, 4) for one in found.trusts],
+        "warns": found.warned,
         "nowhere": [bool(one.nowhere) for one in found.trusts],
         "dark": dark.tolist(),
     }
@@ -135,23 +154,3 @@ def _rows(name, figures) -> Iterator[dict]:
     yield harness.row(f"{label}: error over clusters'", means["eigenpanes"] / means["256 clusters"], 1.0, detail=detail)
     detail = ", ".join(f"{key} {value:+.4f}" for key, value in figures["flicker"].items())
     yield harness.row(f"{label}: flicker", figures["flicker"]["eigenpanes"], 0.02, detail=detail)
-
-
-def _detector(figures) -> Iterator[dict]:
-    """How often the warning is right, on the frames that were judged."""
-    counts = {"right": 0, "silent": 0, "false": 0, "missed": 0}
-    dark = [0, 0]
-    for sweep in figures["sweeps"].values():
-        for frame, error in zip(sweep["frames"], sweep["errors"]["eigenpanes"], strict=True):
-            if error is None:
-                continue
-            warns, wrong = sweep["expected"][frame] > TARGET, error > TARGET
-            counts[("right" if wrong else "false") if warns else ("missed" if wrong else "silent")] += 1
-        dark[0] += sum(sweep["dark"])
-        dark[1] += sum(told for told, is_dark in zip(sweep["nowhere"], sweep["dark"], strict=True) if is_dark)
-    figures["detector"] = counts
-    total = sum(counts.values())
-    detail = f"{total} frames: {counts['right']} warned of rightly, {counts['silent']} rightly not, {counts['false']} false alarms, {counts['missed']} missed; of {dark[0]} frames in the dark {dark[1]} told"
-    yield harness.row(
-        "sweeps, detector: frames misjudged", (counts["false"] + counts["missed"]) / total, 0.1, detail=detail
-    )

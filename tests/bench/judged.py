@@ -50,8 +50,10 @@ def resolution(name: str) -> int:
     return FINER.get(name, RESOLUTION)
 
 
-def open_scene(name: str) -> Scene:
-    """Open a sample or build one of BUILT, without sky and glow, whose light never changes; with an atlas, extracted."""
+def open_scene(name: str, size: int | None = None) -> Scene:
+    """Open a sample or build one of BUILT, without sky and glow, whose light never changes; with an atlas, extracted.
+
+    size: texels a side, None for `resolution`."""
     lightpanes.register()
     if name in BUILT:
         bpy.ops.wm.read_homefile(use_empty=True)
@@ -60,8 +62,9 @@ def open_scene(name: str) -> Scene:
         bpy.ops.wm.open_mainfile(filepath=str(scenes.FOLDER / f"{name}.blend"))
     context = bpy.context
     context.scene.world = None
-    make_atlas(context, [item for item in context.scene.objects if item.type == "MESH"], resolution(name))
-    return extract(context, resolution=resolution(name))
+    size = size or resolution(name)
+    make_atlas(context, [item for item in context.scene.objects if item.type == "MESH"], size)
+    return extract(context, resolution=size)
 
 
 def truths(name: str, scene: Scene) -> list[Truth]:

@@ -62,14 +62,15 @@ def test_the_page_has_every_entry_with_its_bound_and_picture():
 
 
 def test_the_design_s_list_is_whole():
-    """One entry at least of each method's part, as many as the design lists."""
+    """One entry at least of each method's part, as many as the design lists, the sweeps, and a wall that leaks."""
     count = {part: sum(entry.part == part for entry in core_entries()) for part in page.PARTS}
     assert count | {"Input": 13} == {
-        "Panes": 9,
+        "Panes": 10,
         "Point cache": 6,
         "Penumbra casting": 6,
         "Implicit cache": 6,
         "Caustics": 5,
+        "Lamp sweeps": 4,
         "Input": 13,
     }
     assert len(registered()) == sum(count.values()) + 13

@@ -163,8 +163,8 @@ def test_shares_cost_no_shadow_rays(monkeypatch):
     """The lamps' light is known from the whole."""
     lights = [lamp((1.0, 1.0, 2.0)), lamp((0.5, 2.0, 1.0))]
     relighter, counts = room_relighter(), []
-    unit = relighter.entry_light.unit
-    monkeypatch.setattr(relighter.entry_light, "unit", lambda light: counts.append(light) or unit(light))
+    look = relighter.entry_light.look
+    monkeypatch.setattr(relighter.entry_light, "look", lambda light: counts.append(light) or look(light))
     relighter.relight([])
     counts.clear()
     relighter.shares([lights[:1], lights[1:]])
@@ -181,8 +181,8 @@ def test_only_changed_lamps_are_computed_again(monkeypatch):
     made, baked = baked_room()
     runtime = relighter(made, baked)
     seen = []
-    unit = runtime.entry_light.unit
-    monkeypatch.setattr(runtime.entry_light, "unit", lambda light: seen.append(light.name) or unit(light))
+    look = runtime.entry_light.look
+    monkeypatch.setattr(runtime.entry_light, "look", lambda light: seen.append(light.name) or look(light))
     lights = [lamp(place) for place in PLACES_IN_ROOM]
     first = runtime.relight(lights).copy()
     assert len(seen) == 3

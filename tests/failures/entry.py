@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-PARTS = ("Panes", "Point cache", "Penumbra casting", "Implicit cache", "Caustics", "Input")
+PARTS = ("Panes", "Point cache", "Penumbra casting", "Implicit cache", "Caustics", "Lamp sweeps", "Input")
 
 
 @dataclass(frozen=True)

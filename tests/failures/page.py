@@ -20,6 +20,14 @@ are those of the tests, read from the same lines of code (`tests/failures/`). [T
 about them.
 """
 
+NOTES = {
+    "Lamp sweeps": """Small ones, as the tests run them. `make bench ONLY=sweeps` lets lamps pass for 200 frames, with brute-force rays and
+Cycles as the truth, and holds against it what the panel expects, there and in sweeps of three other scenes:
+
+![Error over the frames of five sweeps, with what the panel expects, and flicker](sweeps.png)""",
+}
+"""What is said of parts."""
+
 
 def figure(value: float) -> str:
     """A measured figure in few digits."""
@@ -49,6 +57,8 @@ def write(found: dict[Entry, Found]) -> None:
         lines.append(f"| {entry.part} | {link} | {figure(what.value)} | {bound_of(entry)} |")
     for part in PARTS:
         lines.append(f"\n## {part}")
+        if part in NOTES:
+            lines.append(f"\n{NOTES[part]}")
         for entry, what in found.items():
             if entry.part == part:
                 lines += section(entry, what)

@@ -93,6 +93,36 @@ def thin_wall() -> Found:
     return Found(value, Places({"both floors from above": floor_of(exits, found)}, "W/m²"))
 
 
+@entry(
+    "Panes",
+    "a wall on a floor of one piece",
+    """Rooms of one mesh, parted by a wall that stands in it: entries of the floor and the ceiling reach below the wall and
+    shine on both sides of it. Light leaks through, more the larger entries are, and the bake's own error does not know of it.
+    Walls that are part of the mesh, or a lower Error, help.""",
+    "mean light in the dark room over that in the lit one, a closed wall 5 cm thick, 600 entries",
+    0.12,
+    "core/test_failures.py::test_no_light_through_a_thin_wall",
+)
+def wall_on_floor() -> Found:
+    inside = box((2, 0, 0), (2.05, 3, 2.5))
+    lights = [lamp((1, 1.5, 1.2)), lamp((3, 1.5, 1.2))]
+    made = scene((*box((0, 0, 0), (4, 3, 2.5), True), 0), (*inside, 0), materials=(WHITISH,), lights=lights)
+    leaks = {}
+    for count in (300, 600, 2400):
+        baked = bake(made, quick(entries=count))
+        found, exits = relighter(made, baked).texels(lights[:1])[:, 0], places_of(made, baked)
+        dark, lit = exits.position[:, 0] > 2.06, exits.position[:, 0] < 1.99
+        leaks[count] = float(found[dark].mean() / found[lit].mean())
+        if count == 600:
+            shown = Places(
+                {"floor from above, the lamp on the left": floor_of(exits, found)},
+                "W/m²",
+                high=float(found[dark].max()),
+            )
+    detail = ", ".join(f"{count} entries: {leak:.3f}" for count, leak in leaks.items())
+    return Found(leaks[600], shown, detail)
+
+
 def boxed():
     inner = box((1, 1, 0.8), (1.6, 1.6, 1.4))
     return scene((*box((0, 0, 0), (4, 3, 2.5), True), 0), (*inner, 0), materials=(WHITISH,), lights=[lamp((3, 1.5, 2))])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from . import caustics, implicit_cache, panes, penumbra, point_cache  # noqa: F401
+from . import caustics, implicit_cache, panes, penumbra, point_cache, sweeps  # noqa: F401
 from .entry import ENTRIES, PARTS, Entry
 
 

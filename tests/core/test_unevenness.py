@@ -1,0 +1,47 @@
+"""What even entries make wrong: nearness against its closed form, moments against the lamp's place, and both against light
+that leaves the entries where it really does."""
+
+import numpy as np
+import pytest
+from lightpanes.core.bake.steps import prepare
+from lightpanes.core.panes.entry_light import EntryLight
+from lightpanes.core.panes.unevenness import nearness, unevenness
+from lightpanes.core.rays import Tracer
+
+from .shapes import box, lamp, quick, room, scene
+
+
+def test_nearness_below_a_ceiling():
+    """16 / π ∫ sin³ θ cos⁷ θ dθ / h⁴ = 2 / 5π h⁴, the plane without end."""
+    height = 0.9
+    made = scene((*box((0, 0, 0), (8, 8, height), True), 0), lights=[lamp((4, 4, 0.5))])
+    ready = prepare(made, quick(entries=700, lamps=30, regions=4, panes=2))
+    near = nearness(ready.surface, ready.tracer)
+    place, normal = ready.entries.position, ready.entries.normal
+    middle = (np.abs(place[:, :2] - 4) < 2).all(axis=1) & (np.abs(normal[:, 2]) > 0.9)
+    assert middle.sum() > 100 and ready.surface.size[middle].max() < height
+    assert near[middle].mean() == pytest.approx(2 / (5 * np.pi * height**4), rel=0.05)
+    corner = (np.abs(place[:, :2] - 4) > 3.6).any(axis=1)
+    assert near[corner].mean() > 5 * near[middle].mean()
+    assert np.array_equal(near, nearness(ready.surface, ready.tracer))
+
+
+def test_moments_point_to_the_lamp():
+    made = room(lights=[lamp((3, 1.5, 2))])
+    ready = prepare(made, quick(lamps=30, regions=4, panes=2))
+    eyes = EntryLight(ready.surface, Tracer(made))
+    light = lamp((2.9, 0.7, 0.2))
+    unit, moment = eyes.look(light)
+    assert np.array_equal(unit, eyes.unit(light))
+    middle = ready.surface.position.reshape(len(unit), -1, 3).mean(axis=1)
+    foot = light.position - middle
+    beside = (unit > 0.1 * unit.max()) & (np.abs(foot[:, 2]) < 0.3) & (np.linalg.norm(foot[:, :2], axis=1) > 0.15)
+    assert beside.sum() > 2
+    assert (np.einsum("nd,nd->n", moment, foot)[beside] > 0).all()
+    # no light leaves from beyond an entry
+    assert (np.linalg.norm(moment, axis=1) <= unit * ready.entries.span()).all()
+    # linear in power, and nothing where nothing reflects
+    near = nearness(ready.surface, ready.tracer)
+    size, albedo = ready.surface.size, ready.surface.albedo
+    assert np.allclose(unevenness(3 * moment, albedo, size, near), 3 * unevenness(moment, albedo, size, near))
+    assert not unevenness(moment, 0 * albedo, size, near).any()
