@@ -33,6 +33,9 @@ from .verdict import BLOCKS, judge, some_blocks
 
 ROUNDS = 5
 
+USUAL_RAYS = 192
+"""Of an exit."""
+
 STAGES = ("Entries", "Transport", "Lamps", "Panes", "Check")
 
 
@@ -97,8 +100,6 @@ def settle(scene: Scene, settings: Settings, clock: Clock, kept: Kept) -> Settle
         whole = True
         clock.stop()
         judged.append(found)
-        if better.entries < wanted.entries:
-            return _out_of_time(made, settings, judged)
         spent = {name: clock.seconds[name] - before.get(name, 0.0) for name in STAGES}
         took = _took(made, spent, {name: clock.traced[name] - traced.get(name, 0) for name in STAGES})
     wanted = refine(settings, judged, surfaces.at_points)
@@ -152,7 +153,10 @@ def _in_time(wanted: Budget, settings: Settings, took: Took, places: int, clock:
     """As much of a budget as there is time for, None where that is no more than what is there already."""
     if not settings.time_budget:
         return wanted
-    return fit(wanted, settings, took, places, KEPT_BACK * time_left(settings, clock))
+    # rays at exits get what time is left at the end, if there is any
+    lean = replace(wanted, exit_rays=min(wanted.exit_rays, USUAL_RAYS))
+    better = fit(lean, settings, took, places, KEPT_BACK * time_left(settings, clock))
+    return wanted if better == lean else better
 
 
 def _took(made: Prepared, seconds: dict[str, float], traced: dict[str, int]) -> Took:

@@ -1,7 +1,7 @@
 """The planner: whether a bake's own error is the true one, and whether budgets by trial meet what was asked for.
 
 The truth is Cycles', under lamps of the kind that bakes judge themselves by, but other ones (judged.py). `PART` in the
-environment runs one of the parts alone: estimate, target, larger, time.
+environment runs one of the parts alone: estimate, target, larger, time, default, budget.
 """
 
 from __future__ import annotations
@@ -44,6 +44,13 @@ HALVES = (
     ("stairs", 0.1, "points"),
 )
 
+DEFAULTS = ("cornell", "pillars", "two_rooms", "stairs")
+
+BESIDE = ({}, {"entries": 0.8, "panes": 1.5}, {"lamps": 0.67}, {"entries": 0.8}, {"entry_rays": 0.6, "exit_rays": 1.5})
+"""What the default's budget is multiplied by for the other points of its chart, which are set by hand: they try nothing."""
+
+TIMES = (("stairs", 8.0), ("cornell", 15.0), ("stairs", 25.0))
+
 
 def rows() -> Iterator[dict]:
     part = os.environ.get("PART", "")
@@ -57,11 +64,18 @@ def rows() -> Iterator[dict]:
         yield _larger(made)
     if part in ("", "time"):
         yield from _times(made)
+    if part in ("", "default"):
+        for name in DEFAULTS:
+            yield _default(name, made)
+    if part in ("", "budget"):
+        for name, seconds in TIMES:
+            yield _in_time(name, seconds)
 
 
 def _bake(name: str, made: dict, **settings) -> tuple[Bake, float]:
     """A bake with the planner's budgets, or those given, and its true error."""
-    key = name, tuple(settings.items())
+    settings = {"error_target": 0.05} | settings
+    key = name, tuple(sorted(settings.items()))
     if key not in made:
         scene = judged.open_scene(name)
         result = bake(scene, Settings(resolution=judged.resolution(name), **settings))
@@ -110,3 +124,29 @@ def _times(made):
         seconds = np.array([_bake(name, made, error_target=t)[0].report["seconds"] for t in targets])
         power = -np.polyfit(np.log(targets), np.log(seconds), 1)[0]
         yield harness.row(f"bake time as a power of 1 / target, {name}", power, 2.2, detail=f"{seconds.round(1)} s")
+
+
+def _default(name, made):
+    """Time of the default bake over that of the fastest one by hand that errs no more."""
+    result, true = _bake(name, made)
+    budget, took = result.report["budget"], result.report["seconds"]
+    least, details = took, [f"default: {true:.4f} in {took:.1f} s"]
+    for factors in BESIDE:
+        other, error = _bake(name, made, **budget | {what: round(budget[what] * by) for what, by in factors.items()})
+        seconds = other.report["seconds"]
+        details.append(f"{factors or 'the same by hand'}: {error:.4f} in {seconds:.1f} s")
+        least = min(least, seconds) if error <= true else least
+    return harness.row(f"time of a default bake over the best as exact, {name}", took / least, 1.5, detail="; ".join(details))  # fmt: skip
+
+
+def _in_time(name, seconds):
+    """A target out of reach, so that the time binds."""
+    scene = judged.open_scene(name)
+    settings = Settings(resolution=judged.resolution(name), error_target=0.005, time_budget=seconds)
+    report = bake(scene, settings).report
+    away = abs(report["seconds"] - seconds)
+    ok = report["bound"] == "time" and away <= max(0.1 * seconds, 1.0)
+    detail = f"{report['seconds']:.1f} s of {seconds:.0f}, {report['entries']} entries, bound by {report['bound']}"
+    return harness.row(
+        f"time used over the time there is, {name}", report["seconds"] / seconds, 1.1, ok=ok, detail=detail
+    )
