@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..caustics import casters
-from ..footprint import balanced, takes_points
+from ..footprint import balanced, crowded, takes_points
 from ..panes.entry_light import EntryLight, EntrySurface
 from ..panes.held_out import held_out_lamps
 from ..panes.modes import Modes, learn_modes, training_fields
@@ -17,7 +17,7 @@ from ..panes.training import illuminate, training_lamps
 from ..panes.weights import PaneWeights, make_weights
 from ..planner import Budget, Settings, limit_rays, needs_panes, plan
 from ..rays import Bvh, Tracer
-from ..scene import Light, Scene
+from ..scene import Light, Scene, SceneError
 from ..surface import Patches, SurfaceSamples, Texels, Vertices, cut_patches, make_patches, make_texels, make_vertices
 from ..transfer import (
     ElementTransport,
@@ -184,6 +184,8 @@ def prepare_with(
     step = max(-(-len(texels) // PILOTS), 1) if at_points else 1
     pilot = texels.samples.take(slice(None, None, step)).join(vertices.samples)
     entries, buried, is_buried = find_entries(scene, patches, bvh, pilot, tracer.offset, seed)
+    if sentence := crowded(len(entries), settings.memory):
+        raise SceneError(sentence)
     if buried.all():
         buried[:] = False
         is_buried = _nothing
