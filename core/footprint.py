@@ -127,6 +127,16 @@ def shortage(settings: Settings, budget: Budget, triangles: int, at_points: bool
     )
 
 
+def crowded(entries: int, memory: float) -> str:
+    """Why a matrix between so many entries is not made, "" where it is: there can be more than were asked for."""
+    if IN_PAIR * entries**2 <= memory * GIB:
+        return ""
+    return (
+        f"Light cannot be balanced between the {entries:,} sides of surfaces that it reaches in the {memory:.3g} GiB of "
+        "memory that are allowed: raise Memory, join small objects, or hide some from renders."
+    )
+
+
 def refusal(scene: Scene, settings: Settings) -> str:
     """The same for a scene."""
     budget = plan(scene, settings)

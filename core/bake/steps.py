@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..caustics import casters
-from ..footprint import balanced, takes_points
+from ..footprint import balanced, crowded, takes_points
 from ..panes.entry_light import EntryLight, EntrySurface
 from ..panes.held_out import held_out_lamps, representative
 from ..panes.modes import Modes, learn_modes, training_fields
@@ -18,7 +18,7 @@ from ..panes.training import illuminate, training_lamps
 from ..panes.weights import PaneWeights, make_weights
 from ..planner import Budget, Settings, needs_panes, plan
 from ..rays import Bvh, Tracer
-from ..scene import Light, Scene
+from ..scene import Light, Scene, SceneError
 from ..surface import Patches, SurfaceSamples, Texels, Vertices, cut_patches, make_patches, make_texels, make_vertices
 from ..transfer import (
     ElementTransport,
@@ -203,6 +203,8 @@ def prepare_with(
     entries, buried, is_buried = find_entries(
         scene, patches, bvh, pilot, tracer.offset, seed, HURRIED_SCOUTS if surfaces.hurried else None
     )
+    if sentence := crowded(len(entries), settings.memory):
+        raise SceneError(sentence)
     if buried.all():
         buried[:] = False
         is_buried = _nothing
@@ -305,7 +307,8 @@ def _judges(scene, entries, gatherer, transport, surface, tracer, seed):
     mean = area @ field
     alike = np.array([lamp.name for lamp in many]) == ANYWHERE
     # suns are measured in other units
-    kept = np.flatnonzero(~alike | (mean > DIM * np.median(mean[alike]))) if alike.any() else np.arange(len(many))
+    # where nothing is passed on all are alike
+    kept = np.flatnonzero(~alike | (mean >= DIM * np.median(mean[alike]))) if alike.any() else np.arange(len(many))
     uneven = np.sqrt(area @ field**2) / np.maximum(mean, 1e-30)
     return representative([many[k] for k in kept], uneven[kept], TEST_LAMPS)
 

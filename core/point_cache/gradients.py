@@ -23,6 +23,9 @@ POINTS = 256
 TOGETHER = 16
 """Directions that are traced together."""
 
+LANDED = 1 << 25
+"""Bytes of what rays land on that are added up together, at most."""
+
 CLAMP = 2.0
 """Ray lengths count as this many times the point's radius at least: nearer things would shout."""
 
@@ -79,8 +82,9 @@ def gather_gradients(
         shares = np.ascontiguousarray(shares.transpose(2, 0, 1))
         tangents = frames[:2].transpose(1, 0, 2)
         begin, end = np.searchsorted(point, [piece.start, piece.stop])
-        for at in range(int(begin), int(end), POINTS):
-            mine = slice(at, min(at + POINTS, int(end)))
+        step = min(POINTS, max(LANDED // (inner * around * columns * 4), 1))
+        for at in range(int(begin), int(end), step):
+            mine = slice(at, min(at + step, int(end)))
             own = point[mine] - piece.start
             landed = flat_tables.take(ids.T[own] + table[mine, None] * ids_of_table, axis=0)
             found = np.matmul(shares[own], landed)

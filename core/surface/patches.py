@@ -19,6 +19,9 @@ from .samples import SurfaceSamples, inside_triangle, sample_triangles, surface_
 ROOM = 100
 """Patches, about, of a connected part of a mesh that keeps them to itself."""
 
+CROWDED = 1.5
+"""Patches over those asked for above which objects share some."""
+
 NORMAL_BINS = 27
 """A normal's direction, each coordinate rounded to −1, 0 or 1."""
 
@@ -109,9 +112,14 @@ def make_patches(scene: Scene, count: int, seed: int = 0) -> Patches:
     # float64: areas of millimetre scenes
     area = 0.5 * np.linalg.norm(scene.triangle_cross(rows).astype(np.float64), axis=1).sum()
     island = _islands(scene, rows, float(np.sqrt(area / max(count, 1))))
-    pieces, patch, found = fit_size(
-        corners, area, count, lambda pieces, size: _group(scene, rows, pieces, size, seed, island)
-    )
+    owner = scene.triangle_object[rows]
+    for objects in (owner, np.zeros_like(owner)):
+        pieces, patch, found = fit_size(
+            corners, area, count, lambda pieces, size, own=objects: _group(scene, rows, pieces, size, seed, island, own)
+        )
+        # among thousands of small things each cannot have patches of its own
+        if found <= CROWDED * count:
+            break
     return summarise(scene, rows, pieces, patch, found)
 
 
@@ -137,8 +145,8 @@ def fit_size(
     return best
 
 
-def _group(scene, rows, pieces, size, seed, island):
-    """Patch of each piece, and how many there are."""
+def _group(scene, rows, pieces, size, seed, island, owner):
+    """Patch of each piece, and how many there are; owner: (len(rows),) of each triangle, whose patches are its own."""
     corners, parent, _ = pieces
     centre = corners.mean(axis=1)
     shift = hash_uniform(np.arange(3), 9, seed).astype(np.float32)
@@ -152,7 +160,7 @@ def _group(scene, rows, pieces, size, seed, island):
     _, key = np.unique(key, return_inverse=True)
     source = rows[parent]
     key = key * NORMAL_BINS + bins
-    key = key * len(scene.objects) + scene.triangle_object[source]
+    key = key * len(scene.objects) + owner[parent]
     key = key * len(scene.materials) + scene.triangle_material[source]
     key = key * (int(island.max()) + 1) + island[parent]
     names, patch = np.unique(key, return_inverse=True)

@@ -200,7 +200,10 @@ def rows(only: tuple[str, ...] = ()) -> Iterator[dict]:
         good = [point for point in points if "error" not in point]
         detail = "; ".join(f"{p['size']}: {p['cpu']:.2f} s, {p['held']:.0f} MiB" for p in good)
         for what, unit in (("cpu", "time"), ("held", "memory")):
-            yield harness.row(f"scaling: {name}, exponent of {unit}", exponent(name, good, what), STEEPEST, detail=detail)  # fmt: skip
+            last = f"; between the last two {exponent(name, good[-2:], what):.2f}"
+            yield harness.row(
+                f"scaling: {name}, exponent of {unit}", exponent(name, good, what), STEEPEST, detail=detail + last
+            )
         failed = [point for point in points if "error" in point]
         most = max((point["held"] for point in good), default=np.inf) / 1024
         detail = f"at {good[-1]['size']}" if good else ""
@@ -212,12 +215,18 @@ def rows(only: tuple[str, ...] = ()) -> Iterator[dict]:
 
 def exponent(name: str, points: list[dict], what: str) -> float:
     """Slope of the logarithms over the upper half of the sizes measured (by their logarithms)."""
+    return float(_fit(name, points, what)[0])
+
+
+def _fit(name, points, what):
+    """The slope, and the fitted points' logarithms of sizes and values by it."""
     size = np.log([float(p["size"]) ** (2 if name in SQUARED else 1) for p in points])
     value = np.log([max(p[what], 1e-6) for p in points])
     upper = size >= 0.5 * (size[0] + size[-1]) - 1e-9
     if upper.sum() < 2:
         upper[-2:] = True
-    return float(np.polyfit(size[upper], value[upper], 1)[0])
+    slope, at = np.polyfit(size[upper], value[upper], 1)
+    return slope, upper, at + slope * size[upper]
 
 
 def measure_alone(name: str, size: int) -> dict:
@@ -276,29 +285,40 @@ def _keep(name: str, points: list[dict]) -> None:
 
 
 def draw(held: dict, place: Path) -> None:
-    """Time and memory of all axes, log-log, with the fitted exponents."""
+    """Time and memory of all axes, log-log, with the fits and their exponents; dashed: in proportion."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
+    from matplotlib.ticker import NullFormatter
 
     names = [name for name in AXES if name in held]
-    figure, grid = pyplot.subplots(2, len(names), figsize=(2.6 * len(names), 5.2), layout="constrained", squeeze=False)
-    for column, name in enumerate(names):
+    across = 4
+    down = -(-len(names) // across)
+    figure, grid = pyplot.subplots(2 * down, across, figsize=(10.5, 4.4 * down), layout="constrained", squeeze=False)
+    for axes in grid.flat[2 * len(names) :]:
+        axes.set_visible(False)
+    for number, name in enumerate(names):
         points = [p for p in held[name]["points"] if "error" not in p]
-        size = [p["size"] for p in points]
-        for axes, what, unit in zip(grid[:, column], ("cpu", "held"), ("s of processor", "MiB"), strict=True):
-            value = [p[what] for p in points]
-            axes.plot(size, value, marker="o", markersize=3.5, color="#3f6ea8")
-            slope = exponent(name, points, what) if len(points) > 1 else float("nan")
+        size = np.array([p["size"] for p in points])
+        row, column = 2 * (number // across), number % across
+        for axes, what, unit in ((grid[row, column], "cpu", "s of processor"), (grid[row + 1, column], "held", "MiB")):
+            value = np.array([p[what] for p in points])
+            slope, fitted, line = _fit(name, points, what)
+            even = value[-1] * (size / size[-1]) ** (2.0 if name in SQUARED else 1.0)
+            axes.plot(size, even, color="0.75", linestyle="--", linewidth=1)
+            axes.plot(size[fitted], np.exp(line), color="#d9822b", linewidth=3, alpha=0.6)
+            axes.plot(size, value, marker="o", markersize=3.5, linewidth=1.2, color="#3f6ea8")
             axes.set(xscale="log", yscale="log")
-            axes.set_title(f"exponent {slope:.2f}", fontsize=8)
+            axes.set_title(f"{unit}: exponent {slope:.2f}", fontsize=8)
             axes.grid(which="major", color="0.9")
-            axes.set_ylim(min(value) / 2, max(value) * 2)
+            # at least a decade
+            middle = np.sqrt(value.min() * value.max())
+            axes.set_ylim(min(value.min() / 1.6, middle / 3.2), max(value.max() * 1.6, middle * 3.2))
             axes.tick_params(labelsize=7)
-            if not column:
-                axes.set_ylabel(unit, fontsize=8)
-        grid[1, column].set_xlabel(held[name]["label"], fontsize=8)
+            axes.yaxis.set_minor_formatter(NullFormatter())
+            axes.xaxis.set_minor_formatter(NullFormatter())
+            axes.set_xlabel(held[name]["label"], fontsize=8)
     figure.suptitle(f"{held['machine']}; {held['date']}", fontsize=7, color="0.4")
     figure.savefig(place, dpi=110)
     pyplot.close(figure)

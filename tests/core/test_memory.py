@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from lightpanes.core.bake import bake
-from lightpanes.core.footprint import balanced, footprint, takes_points, within
+from lightpanes.core.footprint import balanced, crowded, footprint, takes_points, within
 from lightpanes.core.memory import GIB, allowing, most_threads, slices
 from lightpanes.core.planner import Budget, Settings, plan
 from lightpanes.core.scene import SceneError
+from lightpanes.core.surface import make_patches
 
+from . import shapes
 from .shapes import lamp, quick, room
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -113,6 +115,15 @@ def test_what_does_not_fit_is_said_before_it_starts(given, remedy):
     with pytest.raises(SceneError, match=r"GiB of memory, and .* GiB are allowed: raise Memory to") as told:
         bake(room(lights=[lamp(PLACE)]), Settings(**given), seen.append)
     assert remedy in str(told.value) and not seen
+
+
+def test_thousands_of_small_objects_share_patches():
+    boxes = [(*shapes.box((k % 20, k // 20, 0.1), (k % 20 + 0.4, k // 20 + 0.4, 0.5)), 0) for k in range(400)]
+    made = shapes.scene(*boxes)
+    # six faces each
+    assert len(make_patches(made, 300)) < 1.5 * 300
+    assert 2400 <= len(make_patches(made, 2400)) < 1.5 * 2400
+    assert "join small objects" in crowded(60_000, 4.0) and not crowded(10_000, 4.0)
 
 
 def test_the_object_with_most_triangles_is_named():
