@@ -71,9 +71,7 @@ def _shares(place, cells, which):
     points = points._replace(cell=points.cell + CORNERS.T.take(corner, axis=1), key=keys.take(example))
     beyond = place > np.float32(0.5)
     nearest = beyond[0] * 4 + beyond[1] * 2 + beyond[2]
-    return Shares(
-        trilinear(place), number.reshape(8, -1).take(which, axis=1, mode="clip"), nearest, len(example)
-    ), points
+    return Shares(trilinear(place), which, number.reshape(8, -1), nearest, len(example)), points
 
 
 def distinct(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

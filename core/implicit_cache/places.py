@@ -87,7 +87,7 @@ def find_piece(
         tiers.append(Tier(shares, points, table.find(points.key), shares.sums(tiers[-1].share).astype(np.float32)))
     if not measured:
         return Piece(tiers, None, None)
-    return Piece(tiers, tiers[1].shares.nearest(), np.zeros((2, tiers[1].shares.entries)))
+    return Piece(tiers, tiers[1].shares.nearest_entries(), np.zeros((2, tiers[1].shares.entries)))
 
 
 def make_missing(table: Table, places: Places) -> None:

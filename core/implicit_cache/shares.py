@@ -9,18 +9,25 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Shares:
-    """n samples shared out among m entries, eight each. weight: (8, n) float32; number: (8, n) int64, which of the m.
-    corner: (n,) int64, which of the eight weighs most."""
+    """n samples, each shared out among the eight corners of its cell, all of which together are m entries.
+
+    weight: (8, n) float32 of the corners. cell: (n,) int64 each sample's. corners: (8, cells) int64, which of the m.
+    nearest: (n,) int64, which of the eight weighs most.
+    """
 
     weight: np.ndarray
-    number: np.ndarray
-    corner: np.ndarray
+    cell: np.ndarray
+    corners: np.ndarray
+    nearest: np.ndarray
     entries: int
 
     def sums(self, value: np.ndarray | None = None) -> np.ndarray:
         """(m,) float64 sums of weight times value, (n,) or None for 1."""
+        count = self.corners.shape[1]
         terms = self.weight if value is None else self.weight * value
-        return np.bincount(self.number.reshape(-1), terms.reshape(-1), minlength=self.entries)
+        # by cells first: their numbers take less memory than those of all samples' corners would
+        sums = np.concatenate([np.bincount(self.cell, row, minlength=count) for row in terms])
+        return np.bincount(self.corners.reshape(-1), sums, minlength=self.entries)
 
     def mixtures(self, rows: np.ndarray) -> np.ndarray:
         """(rows, n) float32 sums of weight times value, of (rows, m) float32 values of the entries."""
@@ -28,11 +35,10 @@ class Shares:
         terms = np.empty_like(self.weight)
         for row, total in zip(rows, result, strict=True):
             # no number is out of range, and numpy asks less when told to clip
-            np.take(row, self.number, out=terms, mode="clip")
+            np.take(row.take(self.corners, mode="clip"), self.cell, axis=1, out=terms, mode="clip")
             np.einsum("kn,kn->n", terms, self.weight, out=total)
         return result
 
-    def nearest(self) -> np.ndarray:
+    def nearest_entries(self) -> np.ndarray:
         """(n,) int64, of each sample's entries the one with the largest weight."""
-        count = len(self.corner)
-        return self.number.reshape(-1).take(self.corner * count + np.arange(count))
+        return self.corners.reshape(-1).take(self.nearest * self.corners.shape[1] + self.cell)
