@@ -38,7 +38,9 @@ def draw(figures: dict) -> None:
     _detector(panels[-2], figures)
     handles, labels = panels[0].get_legend_handles_labels()
     panels[-1].axis("off")
-    panels[-1].legend(handles, labels, loc="upper left", bbox_to_anchor=(-0.25, 1), frameon=False, fontsize=9).set_in_layout(False)
+    panels[-1].legend(
+        handles, labels, loc="upper left", bbox_to_anchor=(-0.25, 1), frameon=False, fontsize=9
+    ).set_in_layout(False)
     told = f"{figures['made']}\n\nLamps pass for {figures['frames']} frames through two rooms\nof 3 × 3 × 2.5 m, baked for an error of {figures['target']:.0%}. Error on\nblocks of 4 × 4 texels against brute-force rays, on\nevery twentieth frame."
     panels[-1].text(-0.2, 0.02, told, fontsize=8.5, color="0.3", va="bottom", in_layout=False)
     made = io.BytesIO()
@@ -51,7 +53,9 @@ def draw(figures: dict) -> None:
 
 def made() -> str:
     """Date, machine and versions."""
-    return f"{datetime.date.today().isoformat()}. " + harness.machine(load=False).replace("; ", ".\n", 1).replace(", embreex", ",\nembreex")
+    return f"{datetime.date.today().isoformat()}. " + harness.machine(load=False).replace("; ", ".\n", 1).replace(
+        ", embreex", ",\nembreex"
+    )
 
 
 def _sweep(axes, name, one, figures):
