@@ -65,7 +65,13 @@ def _all_rows():
     settings = Settings(error_target=TARGET, resolution=SIZE, exits="texels")
     truth = Settings(error_target=TARGET, resolution=SIZE, exits="texels", **TRUTH)
     all_sweeps = sweeps.Sweeps(made, settings, truth, TRUTH_RAYS)
-    figures = {"target": TARGET, "estimate": all_sweeps.baked.report["error"], "frames": FRAMES, "sweeps": {}}
+    figures = {
+        "made": sweep_charts.made(),
+        "target": TARGET,
+        "estimate": all_sweeps.baked.report["error"],
+        "frames": FRAMES,
+        "sweeps": {},
+    }
     yield sweep_detector.cost(made, Settings(error_target=TARGET, resolution=SIZE, exits="texels", **LARGE))
     for name in sweeps.PATHS:
         found = all_sweeps.sweep(name, FRAMES)

@@ -45,7 +45,7 @@ def medians(name: str) -> Found:
         else f" Frames in the dark: {(~lit).sum()}, told in the panel: {sum(bool(one.nowhere) for one in found.trusts)}."
     )
     detail = f"Change from frame to frame beyond the truth's, over the mean: {flicker}.{dark}"
-    return Found(float(np.nanmedian(lines["eigenpanes"])), Curves(curves, "way of the lamp, m", "error", "y"), detail)
+    return Found(float(np.nanmedian(lines["eigenpanes"])), Curves(curves, "way of the lamp, m", "error"), detail)
 
 
 MEDIAN = "median error of 16 frames, against 2,400 entries without panes"
