@@ -141,7 +141,8 @@ def splat(
 
     patches: (9, m, 2 + c) float32: place in texels and power in W at the 3 × 3 vertices, as if all of the patch were
     like it. chart: (m,) int32 of each patch, on which its samples are kept. rough: (m,) bool, see `counts`. samples: for
-    each texel, about.
+    each texel, about. soft: of a soft lamp, the part of it that each patch stands for, (m,) int, and places in every part
+    (see `softness.cells`); four columns between place and power then tell how the place moves with these.
     """
     size, lead = receivers.resolution, 2 if soft is None else 6
     total = np.zeros((patches.shape[2] - lead, size * size))
