@@ -308,7 +308,7 @@ def _judges(scene, entries, gatherer, transport, surface, tracer, seed):
     mean = area @ field
     alike = np.array([lamp.name for lamp in many]) == ANYWHERE
     # suns are measured in other units
-    kept = np.flatnonzero(~alike | (mean > DIM * np.median(mean[alike]))) if alike.any() else np.arange(len(many))
+    kept = np.flatnonzero(~alike | (mean >= DIM * np.median(mean[alike]))) if alike.any() else np.arange(len(many))
     uneven = np.sqrt(area @ field**2) / np.maximum(mean, 1e-30)
     return representative([many[k] for k in kept], uneven[kept], TEST_LAMPS)
 
