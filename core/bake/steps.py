@@ -306,8 +306,7 @@ def _judges(scene, entries, gatherer, transport, surface, tracer, seed):
     area = (entries.area / entries.area.sum()).astype(np.float32)
     mean = area @ field
     alike = np.array([lamp.name for lamp in many]) == ANYWHERE
-    # suns are measured in other units
-    # where nothing is passed on all are alike
+    # suns are measured in other units; where nothing is passed on, all are alike
     kept = np.flatnonzero(~alike | (mean >= DIM * np.median(mean[alike]))) if alike.any() else np.arange(len(many))
     uneven = np.sqrt(area @ field**2) / np.maximum(mean, 1e-30)
     return representative([many[k] for k in kept], uneven[kept], TEST_LAMPS)

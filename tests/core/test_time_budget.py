@@ -80,12 +80,6 @@ def test_with_time_to_spare_the_error_binds(on):
     assert used < 100
 
 
-def test_time_that_binds_is_used(on):
-    """What no larger bake fits into goes to rays."""
-    report, used = on(3e5, 12.0, error_target=0.01)
-    assert report["bound"] == "time" and 9.6 < used <= 13
-
-
 def test_time_spent_on_reading_the_scene_counts(on):
     report, used = on(3e6, 12.0, spent=10.0)
     assert 10 + used <= 13 and report["budget"] == on(3e6, 2.0)[0]["budget"]
