@@ -42,7 +42,7 @@ class Truth:
     reference: cycles.Reference
 
 
-def open_scene(name: str, resolution: int = RESOLUTION) -> Scene:
+def open_scene(name: str) -> Scene:
     """Open a sample or build one of BUILT, without sky and glow, whose light never changes; with an atlas, extracted."""
     lightpanes.register()
     if name in BUILT:
@@ -52,8 +52,8 @@ def open_scene(name: str, resolution: int = RESOLUTION) -> Scene:
         bpy.ops.wm.open_mainfile(filepath=str(scenes.FOLDER / f"{name}.blend"))
     context = bpy.context
     context.scene.world = None
-    make_atlas(context, [item for item in context.scene.objects if item.type == "MESH"], resolution)
-    return extract(context, resolution=resolution)
+    make_atlas(context, [item for item in context.scene.objects if item.type == "MESH"], RESOLUTION)
+    return extract(context, resolution=RESOLUTION)
 
 
 def truths(name: str, scene: Scene) -> list[Truth]:
