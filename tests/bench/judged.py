@@ -50,10 +50,8 @@ def resolution(name: str) -> int:
     return FINER.get(name, RESOLUTION)
 
 
-def open_scene(name: str, size: int | None = None) -> Scene:
-    """Open a sample or build one of BUILT, without sky and glow, whose light never changes; with an atlas, extracted.
-
-    size: texels a side, None for `resolution`."""
+def open_scene(name: str) -> Scene:
+    """Open a sample or build one of BUILT, without sky and glow, whose light never changes; with an atlas, extracted."""
     lightpanes.register()
     if name in BUILT:
         bpy.ops.wm.read_homefile(use_empty=True)
@@ -62,9 +60,8 @@ def open_scene(name: str, size: int | None = None) -> Scene:
         bpy.ops.wm.open_mainfile(filepath=str(scenes.FOLDER / f"{name}.blend"))
     context = bpy.context
     context.scene.world = None
-    size = size or resolution(name)
-    make_atlas(context, [item for item in context.scene.objects if item.type == "MESH"], size)
-    return extract(context, resolution=size)
+    make_atlas(context, [item for item in context.scene.objects if item.type == "MESH"], resolution(name))
+    return extract(context, resolution=resolution(name))
 
 
 def truths(name: str, scene: Scene) -> list[Truth]:

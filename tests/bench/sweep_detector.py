@@ -5,7 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 
+import bpy
 import numpy as np
+from lightpanes.addon.atlas import make_atlas
+from lightpanes.addon.extract import extract
 from lightpanes.core import metrics
 from lightpanes.core.bake import Settings, bake
 from lightpanes.core.bake.steps import prepare
@@ -41,7 +44,9 @@ def frame(expected: float | None, warns: bool, nowhere: bool, true: float | None
 
 def watch(name: str, size: int, target: float, truth: Settings) -> list[dict]:
     """Frames of the held-out sweeps of a scene of judged.py, as `frame` makes them."""
-    made = judged.open_scene(name, size)
+    judged.open_scene(name)
+    make_atlas(bpy.context, [item for item in bpy.context.scene.objects if item.type == "MESH"], size)
+    made = extract(bpy.context, resolution=size)
     baked, fine = bake(made, Settings(error_target=target, resolution=size)), prepare(made, truth)
     relighter, expected = Relighter(baked.panes(), Tracer(made)), expected_of(baked.report)
     mask = np.zeros(size * size, bool)
