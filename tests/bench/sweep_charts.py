@@ -93,7 +93,7 @@ def _flicker(axes, swept):
 
 
 def _detector(axes, figures):
-    ends = np.array([0.02, 1.0])
+    ends = np.array([0.03, 1.5])
     axes.fill_between(ends, LOW * ends, HIGH * ends, color="0.92", label=f"true error {LOW} to {HIGH} times as large")
     axes.plot(ends, ends, color="0.6", linewidth=0.8)
     for key, label, colour, marker in (
