@@ -1,7 +1,7 @@
 """Bakes that find their entries and guide their points with few rays, for tests of all but the light itself."""
 
 import pytest
-from lightpanes.core.bake import steps, verdict
+from lightpanes.core.bake import live, verdict
 from lightpanes.core.point_cache import build
 from lightpanes.core.transfer import entries, reach
 
@@ -10,7 +10,7 @@ def save_rays(patch: pytest.MonkeyPatch, judge: bool = False) -> None:
     """What a bake of a small room spends most of its time on, for as long as the patch lasts. judge: whether bakes measure
     their error as well as ever."""
     if not judge:
-        patch.setattr(steps, "TEST_LAMPS", 6)
+        patch.setattr(live, "TEST_LAMPS", 6)
         patch.setattr(verdict, "BLOCKS", 64)
         patch.setattr(verdict, "EVEN_RAYS", 32)
         patch.setattr(verdict, "PATHS", 4)

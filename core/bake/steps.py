@@ -1,4 +1,4 @@
-"""The parts of a bake up to its panes: surfaces, entries, transport, training lamps, modes, weights."""
+"""A bake up to its panes: ground, transport, what is live, what is steady, and what rays then bring to the exits."""
 
 from __future__ import annotations
 
@@ -7,39 +7,28 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..caustics import casters
-from ..footprint import balanced, crowded, takes_points
-from ..panes.entry_light import EntryLight, EntrySurface
-from ..panes.held_out import held_out_lamps, representative
-from ..panes.modes import Modes, learn_modes, training_fields
-from ..panes.regions import features, make_regions, nearest, rooms, signature, split_regions, starts_of
-from ..panes.training import NAME as ANYWHERE
-from ..panes.training import illuminate, training_lamps
-from ..panes.weights import PaneWeights, make_weights
+from ..panes.entry_light import EntrySurface
+from ..panes.modes import Modes
+from ..panes.regions import features, nearest, starts_of
+from ..panes.weights import PaneWeights
 from ..planner import Budget, Settings, needs_panes, plan
 from ..rays import Bvh, Tracer
-from ..scene import Light, Scene, SceneError
-from ..surface import Patches, SurfaceSamples, Texels, Vertices, cut_patches, make_patches, make_texels, make_vertices
+from ..scene import Light, Scene
+from ..surface import Patches, SurfaceSamples, Texels, Vertices
 from ..transfer import (
     ElementTransport,
     Entries,
     Gatherer,
     Transport,
-    find_elements,
-    find_entries,
     link_elements,
-    make_gatherer,
     make_piece_gatherer,
     make_transport,
 )
-from ..transfer.covered import covered
-from ..transfer.entries import MAX_ALBEDO, PLACES
 from .clock import Clock
+from .ground import Ground, Surfaces, find_ground, find_surfaces
 from .kept import Kept
-from .steady import piece_excess, sky_bins, static_caustics, static_light, steady_light
-
-PILOTS = 32_768
-"""Texels, about, whose rays find the entries where points are the exits."""
+from .live import learn, nothing_live
+from .steady import piece_excess, static_caustics, static_light, steady_light
 
 KEPT_BACK = 0.88
 """Part of the time left that is planned for: no plan is kept exactly."""
@@ -56,20 +45,8 @@ FOCUSING = 0.05
 TICKS = 1000
 """Of the clock, in which they are counted."""
 
-HURRIED_SCOUTS = 3000
-"""In a hurried bake, which is but looked at, of places from which entries are sought (transfer.entries.SCOUTS)."""
-
 GUIDES = 16
 """Training lamps that steer the points' density."""
-
-CANDIDATES = 72
-"""Lamps of which TEST_LAMPS are chosen."""
-
-DIM = 0.1
-"""Lamps somewhere in the air that light less than this part of what most of them do are no test: outside, say, or in a crack."""
-
-TEST_LAMPS = 24
-"""Held-out lamps that measure the error at the end of a bake; three at a time take red, green and blue."""
 
 
 @dataclass(frozen=True)
@@ -131,37 +108,11 @@ class Prepared:
         return self.tables.shape[2] > self.modes.panes + 3
 
 
-@dataclass(frozen=True)
-class Surfaces:
-    """What a bake starts from, whatever its budget. at_points: whether exits are points. focuses: whether anything casts
-    caustics. hurried: whether the bake is but looked at, and its texels are those where it is."""
-
-    scene: Scene
-    texels: Texels
-    vertices: Vertices
-    tracer: Tracer
-    at_points: bool
-    resolution: int
-    focuses: bool
-    hurried: bool = False
-
-
 def prepare(scene: Scene, settings: Settings, clock: Clock | None = None, kept: Kept | None = None) -> Prepared:
     """Run all stages up to the exits' gather, but for parts that are `kept`, with the budgets that the planner begins
     with. Raises SceneError for scenes that cannot be baked."""
     clock, budget = clock or Clock(), plan(scene, settings)
     return prepare_with(find_surfaces(scene, settings, clock), settings, budget, clock, kept or Kept())
-
-
-def find_surfaces(scene: Scene, settings: Settings, clock: Clock) -> Surfaces:
-    """The surfaces, and whether exits are points. Raises SceneError for scenes that cannot be baked."""
-    clock.start("Surfaces")
-    texels, vertices = make_texels(scene, settings.resolution), make_vertices(scene)
-    at_points = takes_points(settings, plan(scene, settings), len(scene.triangles), len(texels), len(vertices))
-    focusing = casters(scene)
-    # what focuses a lamp's light casts a shadow of it
-    tracer = Tracer(scene, solid=None if focusing is None else focusing.triangles)
-    return Surfaces(scene, texels, vertices, tracer, at_points, settings.resolution, focusing is not None)
 
 
 def transport_parts(entries: int) -> tuple[str, ...]:
@@ -186,130 +137,59 @@ def prepare_with(
 
     judges: held-out lamps, None for some that are drawn here.
     """
-    scene, seed, at_points = surfaces.scene, settings.seed, surfaces.at_points
-    texels, vertices, tracer = surfaces.texels, surfaces.vertices, surfaces.tracer
-    warnings = list(scene.warnings)
-    clock.start("Entries")
-    # without live lamps pieces of entries tell them apart
-    count = balanced(budget.entries, settings.memory)
-    patches = make_patches(scene, count, seed)
-    finer = None
-    if count < budget.entries and needs_panes(scene):
-        finer, patches, owner = cut_patches(scene, patches, budget.entries, seed)
-    bvh = Bvh(patches.corners)
-    # points need not ask of each texel: those that a point serves are not buried
-    step = max(-(-len(texels) // PILOTS), 1) if at_points else 1
-    pilot = texels.samples.take(slice(None, None, step)).join(vertices.samples)
-    entries, buried, is_buried = find_entries(
-        scene, patches, bvh, pilot, tracer.offset, seed, HURRIED_SCOUTS if surfaces.hurried else None
-    )
-    if sentence := crowded(len(entries), settings.memory):
-        raise SceneError(sentence)
-    if buried.all():
-        buried[:] = False
-        is_buried = _nothing
-        warnings.append("Every texel lies inside a closed object; put a lamp inside the room, or flip its normals.")
-    if not at_points:
-        buried |= covered(scene, texels, Tracer(scene) if surfaces.focuses else tracer, seed)
-        texels = texels.keep(~buried | buried.all())
-    warnings += _too_white(scene, patches)
-    bins = sky_bins(scene.sky)
-    gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
-
-    elements, whole = None, (entries, gatherer)
-    if finer is not None:
-        elements, patches = find_elements(scene, finer, owner, entries, is_buried, seed), finer
-        entries, gatherer = elements.sides, make_gatherer(scene, finer, elements.sides, bvh, tracer.offset, bins)
-
-    clock.start("Transport", (len(whole[0]) + (0 if elements is None else len(elements))) * budget.entry_rays)
-
-    transport = kept.part(
-        f"transport {budget.entries}", lambda: make_transport(*whole, budget.entry_rays, seed, clock.tick)
-    )
-    if elements is not None:
-        links = kept.part(
-            f"links {budget.entries}",
-            lambda: link_elements(whole[0], elements, transport, gatherer, budget.entry_rays, seed, clock.tick),
-        )
-        transport = ElementTransport(elements, transport, links)
-
-    places = entries.places
-    surface = EntrySurface.of(entries, patches, places, tracer.offset)
+    scene, seed, at_points, tracer = surfaces.scene, settings.seed, surfaces.at_points, surfaces.tracer
+    ground = find_ground(surfaces, settings, budget, clock)
+    patches, entries, gatherer = ground.patches, ground.entries, ground.gatherer
+    transport = _transport(ground, budget, clock, kept, seed)
+    surface = EntrySurface.of(entries, patches, entries.places, tracer.offset)
     if needs_panes(scene):
-        lamps = training_lamps(scene, places, gatherer, budget.lamps, seed + 6)
-        clock.start("Lamps", len(lamps))
-        direct = kept.part(
-            f"lamps {budget.entries}",
-            lambda: illuminate(lamps, places, PLACES, tracer, seed, lambda n: clock.tick(n, n * len(entries))),
-        )
-        test = _judges(scene, entries, gatherer, transport, surface, tracer, seed) if judges is None else judges
-        test = [replace(lamp, power=np.ones(3)) for lamp in test[: len(test) // 3 * 3]]
-        eyes = EntryLight(surface, tracer, seed, few=PLACES)
-        test_direct = np.stack([grey(eyes.unit(lamp)) for lamp in test], 1)
-
-        clock.start("Panes", 4)
-        radiosity, field = training_fields(entries, transport, direct)
-        clock.tick(1, 0)
-        points = features(entries.position, entries.normal, scene.extent)
-        # rooms lie farther apart than anything within one
-        room = rooms(transport.between) if elements is None else rooms(transport.whole.between)[elements.entry]
-        far = 4 * room[:, None].astype(np.float32)
-        alike = np.concatenate([points, signature(field[:, ::2]), far], 1)
-        region = make_regions(alike, entries.area, max(budget.regions // 4, 1), seed)
-        region = split_regions(region, alike, entries.area, field[:, ::2], budget.regions, budget.panes)
-        modes = learn_modes(entries, transport, region, radiosity, field, budget.panes)
-        clock.tick(1, 0)
-        weights = make_weights(entries, transport, modes, room, direct[:, ::8], seed)
-        clock.tick(1, 0)
+        live = learn(surfaces, ground, surface, transport, budget, clock, kept, seed, judges)
     else:
-        modes, weights, test, test_direct = *no_panes(entries), [], None
+        live = nothing_live(entries)
+    modes = live.modes
     static = static_light(scene, surface, tracer, seed)
     arriving = static
     if static is not None and surfaces.focuses:
         arriving = static + _focused(surfaces, surface, settings, clock)
-    steady, shine = steady_light(scene.sky, bins, entries, transport, arriving)
-    tables = _tables(modes, steady, shine, gatherer.size)
+    tables = _tables(modes, *steady_light(scene.sky, ground.bins, entries, transport, arriving), gatherer.size)
     # the tables hold them
     modes = replace(modes, makers=None)
-    if test_direct is None:
+    guide = None
+    if live.test_direct is None:
         # without panes there is room for a row for every piece of every entry
-        gatherer, owner = make_piece_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
+        gatherer, owner = make_piece_gatherer(scene, patches, entries, ground.bvh, tracer.offset, ground.bins)
         tables = tables[:, np.append(owner, np.arange(len(entries), tables.shape[1]))]
         bounces = slice(modes.panes, modes.panes + 3)
         tables[0, : len(owner), bounces] += piece_excess(scene, patches, entries, owner, static, tracer, seed)
-    guide = None
-    if at_points and test_direct is None:
-        guide = tables[:, :, bounces]
+        guide = tables[:, :, bounces] if at_points else None
     elif at_points:
-        some = transport.solve(entries.albedo.mean(axis=1, keepdims=True), radiosity[:, :GUIDES], 1e-2)
+        some = transport.solve(entries.albedo.mean(axis=1, keepdims=True), live.radiosity[:, :GUIDES], 1e-2)
         guide = np.zeros((1, gatherer.size, some.shape[1]), np.float32)
         guide[0, : len(entries)] = some
     made = Prepared(
-        scene, budget, patches, bvh, tracer, entries, gatherer, transport, places, surface, modes, weights,
-        texels, None, vertices, tables, guide, is_buried, test, test_direct, int(buried.sum()), warnings, kept,
+        scene, budget, patches, ground.bvh, tracer, entries, gatherer, transport, entries.places, surface, modes,
+        live.weights, ground.texels, None, surfaces.vertices, tables, guide, ground.is_buried, live.test_lamps,
+        live.test_direct, ground.buried, ground.warnings, kept,
     )  # fmt: skip
     if not at_points:
-        own = own_region(made, texels.samples)
-        made.exits = texels.keep(np.lexsort((texels.index, own)))
+        own = own_region(made, ground.texels.samples)
+        made.exits = ground.texels.keep(np.lexsort((ground.texels.index, own)))
         made.starts = starts_of(own, modes.regions)
     return made
 
 
-def _judges(scene, entries, gatherer, transport, surface, tracer, seed):
-    """TEST_LAMPS held-out lamps that stand for many."""
-    many = held_out_lamps(scene, entries.places, gatherer, CANDIDATES, seed + 1006)
-    if not many:
-        return many
-    eyes = EntryLight(surface, tracer, seed, few=1)
-    direct = np.stack([grey(eyes.unit(lamp)) for lamp in many], 1)
-    field = transport.arriving(entries.albedo.mean(axis=1, keepdims=True) * direct)
-    area = (entries.area / entries.area.sum()).astype(np.float32)
-    mean = area @ field
-    alike = np.array([lamp.name for lamp in many]) == ANYWHERE
-    # suns are measured in other units; where nothing is passed on, all are alike
-    kept = np.flatnonzero(~alike | (mean >= DIM * np.median(mean[alike]))) if alike.any() else np.arange(len(many))
-    uneven = np.sqrt(area @ field**2) / np.maximum(mean, 1e-30)
-    return representative([many[k] for k in kept], uneven[kept], TEST_LAMPS)
+def _transport(ground: Ground, budget: Budget, clock: Clock, kept: Kept, seed: int) -> Transport | ElementTransport:
+    """Between all entries, or between the whole ones, with links to the elements of near ones."""
+    elements, rays = ground.elements, budget.entry_rays
+    clock.start("Transport", (len(ground.whole[0]) + (0 if elements is None else len(elements))) * rays)
+    transport = kept.part(f"transport {budget.entries}", lambda: make_transport(*ground.whole, rays, seed, clock.tick))
+    if elements is None:
+        return transport
+    links = kept.part(
+        f"links {budget.entries}",
+        lambda: link_elements(ground.whole[0], elements, transport, ground.gatherer, rays, seed, clock.tick),
+    )
+    return ElementTransport(elements, transport, links)
 
 
 def _focused(surfaces: Surfaces, surface: EntrySurface, settings: Settings, clock: Clock) -> np.ndarray:
@@ -348,35 +228,6 @@ def gather_in_time(
         return few
     made.budget = replace(made.budget, **{field: more})
     return gather(more, seed)
-
-
-def grey(values: np.ndarray) -> np.ndarray:
-    """(n,) of (n,) or (n, 3)."""
-    return values if values.ndim == 1 else values.mean(axis=1)
-
-
-def _nothing(samples: SurfaceSamples) -> np.ndarray:
-    return np.zeros(len(samples), bool)
-
-
-def no_panes(entries: Entries) -> tuple[Modes, PaneWeights]:
-    """One region with one black pane: for scenes in which no lamp may change."""
-    count = len(entries)
-    nothing = np.zeros((count, 1), np.float32)
-    region = np.zeros(count, np.int32)
-    modes = Modes(region, 1, 1, nothing, nothing, nothing)
-    small = np.zeros((3, 1, 1), np.float32)
-    return modes, PaneWeights(nothing.T.copy(), small[0], small, region, nothing, entries.albedo)
-
-
-def _too_white(scene, patches):
-    """Warnings for albedos that the solve lowers."""
-    white = (patches.albedo > MAX_ALBEDO).any(axis=1)
-    if not white.any():
-        return []
-    material = np.unique(scene.triangle_material[patches.parent[white[patches.patch]]])
-    names = ", ".join(f"'{scene.materials[m].name}'" for m in material)
-    return [f"Albedo above {MAX_ALBEDO} is lowered to {MAX_ALBEDO} (the light would never fade): {names}."]
 
 
 def _tables(modes, steady, shine, ids):

@@ -17,7 +17,8 @@ from ..panes.regions import region_of
 from ..planner import RAYS_FALL
 from ..surface import SurfaceSamples, Texels
 from .fresh_light import entry_fields, even_light, uneven_light
-from .steps import Prepared, grey, own_region
+from .live import grey
+from .steps import Prepared, own_region
 from .stored import Stored
 
 BLOCKS = 256

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from lightpanes.core import footprint
-from lightpanes.core.bake import bake, steps
+from lightpanes.core.bake import bake
 from lightpanes.core.point_cache.darts import first_come, first_of_many
 from lightpanes.core.rays import Bvh
 from lightpanes.core.surface import cut_patches, make_patches
@@ -18,6 +18,7 @@ from lightpanes.core.transfer import (
     make_gatherer,
     make_transport,
 )
+from lightpanes.core.transfer.entries import MAX_ALBEDO
 
 from .shapes import lamp, moved, quick, relighter, room
 
@@ -90,10 +91,10 @@ def test_no_albedo_makes_light_of_elements_grow():
     share = elements.sides.area / elements.sides.area.sum()
     # their own sums may exceed 1 by as much as MAX_ALBEDO allows for, on average they do not
     sums = found.arriving(np.ones((len(elements), 1), np.float32))[:, 0]
-    assert share @ sums < 1.02 and sums.max() < 1.0001 / steps.MAX_ALBEDO
-    white = np.full((len(elements), 1), steps.MAX_ALBEDO, np.float32)
+    assert share @ sums < 1.02 and sums.max() < 1.0001 / MAX_ALBEDO
+    white = np.full((len(elements), 1), MAX_ALBEDO, np.float32)
     light = found.solve(white, np.ones((len(elements), 1), np.float32))
-    assert np.isfinite(light).all() and share @ light[:, 0] < 1.5 / (1 - steps.MAX_ALBEDO)
+    assert np.isfinite(light).all() and share @ light[:, 0] < 1.5 / (1 - MAX_ALBEDO)
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lightpanes.core.bake.steps import PLACES, prepare
+from lightpanes.core.bake.steps import prepare
 from lightpanes.core.panes import Relighter
 from lightpanes.core.panes.clusters import cluster_mean, gather_clusters, make_clusters
 from lightpanes.core.panes.entry_light import EntryLight
@@ -18,6 +18,7 @@ from lightpanes.core.panes.training import free_air, room_around, training_lamps
 from lightpanes.core.rays import Tracer
 from lightpanes.core.scene import Material
 from lightpanes.core.surface import make_patches
+from lightpanes.core.transfer.entries import PLACES
 
 from .shapes import baked_room, globe, lamp, quick, relighter, room, scene
 
