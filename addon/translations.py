@@ -36,6 +36,7 @@ GERMAN = {
     "Transport": "Transport",
     "Exits": "Ausgänge",
     "Check": "Prüfung",
+    "Judging": "Beurteilung",
     "Entries": "Einträge",
     "Atlas": "Atlas",
     "Reading the scene": "Szene lesen",

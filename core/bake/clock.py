@@ -44,6 +44,9 @@ class Clock:
     }
     """Where in the whole each stage ends."""
 
+    JUDGING = "Judging"
+    """A stage that comes wherever something was tried: it takes no part of the whole."""
+
     def __init__(
         self,
         progress: Callable[[Progress], None] | None = None,
@@ -60,6 +63,7 @@ class Clock:
         self.began = now()
         self._stage, self._stage_began = "", self.began
         self._done, self._total, self._rays_before = 0, 1, 0
+        self._shown = 0.0
 
     @property
     def spent(self) -> float:
@@ -67,7 +71,7 @@ class Clock:
         return now() - self.began
 
     def start(self, stage: str, steps: int = 1) -> None:
-        """Begin one of STAGES, which will tick `steps` steps (rays, where it traces)."""
+        """Begin one of STAGES, or JUDGING, which will tick `steps` steps (rays, where it traces)."""
         self.stop()
         self._stage, self._stage_began = stage, now()
         self._done, self._total, self._rays_before = 0, max(steps, 1), self.rays
@@ -106,14 +110,19 @@ class Clock:
         self._done += steps
         if self.progress is None:
             return
-        names = list(self.STAGES)
-        at = names.index(self._stage)
-        low = self.STAGES[names[at - 1]] if at else 0.0
-        part = min(self._done / self._total, 1.0)
-        fraction = low + (self.STAGES[self._stage] - low) * part
+        # stages come again where a bake is tried more than once
+        fraction = self._shown = max(self._shown, self._fraction())
         # what was kept goes by in no time, and its seconds are those of the earlier bakes
         self.reached = max(self.reached, fraction)
         # the first stages are too short to tell
         known = self.reached > self.STAGES["Surfaces"]
         left = (self.earlier + self.spent) * (1 - self.reached) / self.reached if known else None
         self.progress(Progress(self._stage, fraction, self.rays, self.error, left))
+
+    def _fraction(self) -> float:
+        if self._stage not in self.STAGES:
+            return 0.0
+        names = list(self.STAGES)
+        at = names.index(self._stage)
+        low = self.STAGES[names[at - 1]] if at else 0.0
+        return low + (self.STAGES[self._stage] - low) * min(self._done / self._total, 1.0)

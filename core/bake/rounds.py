@@ -36,14 +36,14 @@ ROUNDS = 5
 USUAL_RAYS = 192
 """Of an exit."""
 
-STAGES = ("Entries", "Transport", "Lamps", "Panes", "Check")
+STAGES = ("Entries", "Transport", "Lamps", "Panes", Clock.JUDGING)
 
 
 @dataclass(frozen=True)
 class Settled:
     """made: ready for its exits. bound: what ended the trials: "error", its target is met; "time", a better bake would not
-    have fitted; "memory", nor into that; "most", a better one would be too large; "given", the budgets were set by hand or nothing can be judged.
-    judged: the trials."""
+    have fitted; "memory", nor into that; "most", a better one would be too large; "given", the budgets were set by hand
+    or nothing can be judged. judged: the trials."""
 
     made: Prepared
     bound: str
@@ -140,7 +140,7 @@ def _try(
 ) -> tuple[Prepared, Judged | None]:
     """A bake up to its panes and what it is found to be, None where nothing can be judged."""
     made = prepare_with(surfaces, settings, budget, clock, kept, judges)
-    clock.start("Check")
+    clock.start(Clock.JUDGING)
     if not made.test_lamps:
         clock.stop()
         return made, None
@@ -164,5 +164,5 @@ def _took(made: Prepared, seconds: dict[str, float], traced: dict[str, int]) -> 
         replace(made.budget, entries=len(made.entries)),
         *(seconds.get(stage, 0.0) for stage in ("Entries", "Transport", "Lamps", "Panes")),
         traced["Transport"],
-        seconds.get("Check", 0.0),
+        seconds.get(Clock.JUDGING, 0.0),
     )

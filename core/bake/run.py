@@ -171,7 +171,7 @@ def _enough_points(made: Prepared, settings: Settings, bound: str, clock: Clock)
     """Exits at points, more of them until the error is what was asked for, and what it is."""
     while True:
         stored = bake_points(made, settings, clock)
-        clock.start("Check")
+        clock.start(Clock.JUDGING)
         orphan = (stored.texels if len(made.exits) else stored.vertices).orphan
         verdict = judge(made, settings.seed, shown_by_points(made, stored), orphan, clock.pulse)
         clock.stop()

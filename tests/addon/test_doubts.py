@@ -30,7 +30,7 @@ def test_the_panel_warns_of_lamps_where_light_is_not_known(room, quick):
     assert "Lamp 'Lamp'" not in said()
     # a bake that is as good as was asked for, and a lamp that nearly touches the wall
     current = sessions.of(room)
-    current.expected = replace(current.expected, target=0.03, error=0.02, rest=0.02)
+    current.expected = replace(current.expected, target=0.03, error=0.02, grows=0.02)
     move((-0.99, 0, 0))
     assert "Lamp 'Lamp' is so close to a surface that the light it bounces is wrong by about " in said()
     assert "where 3.0 % was asked for" in said()

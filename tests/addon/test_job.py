@@ -1,5 +1,6 @@
 """A bake on a thread: the same result, cancelled at any moment, and whatever the user does meanwhile."""
 
+import functools
 import time
 
 import numpy as np
@@ -50,6 +51,10 @@ def test_it_bakes_what_the_blocking_one_does(room):
 
 
 def test_progress_never_goes_back_and_tells_time_and_error(room, monkeypatch):
+    # an error is known once a bake was tried, and with entries set by hand none is
+    quick = baking.Settings
+    monkeypatch.setattr(baking, "Settings", functools.partial(quick.func, **(quick.keywords | {"entries": None})))
+    room.lightpanes.error_target = 0.3
     seen, told, tell = [], [], job._Thread._told
     # between two looks of the main thread much may go by
     monkeypatch.setattr(job._Thread, "_told", lambda self, progress: (told.append(progress), tell(self, progress)))

@@ -15,7 +15,7 @@ from .drawing import Context, draw  # noqa: E402
 
 def constants():
     """All texts in the source of the interface, and the stages of a bake."""
-    found = set(Clock.STAGES)
+    found = {*Clock.STAGES, Clock.JUDGING}
     for path in Path(translations.__file__).parent.glob("*.py"):
         if path.name != "translations.py":
             found |= {
@@ -37,7 +37,7 @@ def interface():
             said |= {item.name, item.description}
             for choice in getattr(item, "enum_items", ()) or ():
                 said |= {choice.name, choice.description}
-    said |= {cls.bl_label for cls in panel.CLASSES} | set(panel.ERROR_PARTS.values()) | set(Clock.STAGES)
+    said |= {cls.bl_label for cls in panel.CLASSES} | set(panel.ERROR_PARTS.values()) | {*Clock.STAGES, Clock.JUDGING}
     return {text for text in said if text} - {"Lightpanes"}
 
 
