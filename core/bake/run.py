@@ -26,7 +26,7 @@ from .record import Bake, point_arrays
 from .rounds import settle
 from .steps import Prepared, gather_in_time, transport_parts
 from .stored import Stored, bake_points, spread_to_texels
-from .verdict import Verdict, judge, shown_by_points, shown_by_texels
+from .verdict import Verdict, judge, shown_by_points, shown_by_texels, where_judged
 
 MISSED = 1.5
 """Error over the one asked for from which on the user is told."""
@@ -168,19 +168,30 @@ def _bake(scene, settings, clock, kept):
 
 
 def _enough_points(made: Prepared, settings: Settings, bound: str, clock: Clock) -> tuple[Stored, Verdict | None]:
-    """Exits at points, more of them until the error is what was asked for, and what it is."""
-    while True:
-        stored = bake_points(made, settings, clock)
-        clock.start(Clock.JUDGING)
-        orphan = (stored.texels if len(made.exits) else stored.vertices).orphan
-        verdict = judge(made, settings.seed, shown_by_points(made, stored), orphan, clock.pulse)
-        clock.stop()
-        if verdict is None or bound in ("given", "time") or settings.time_budget:
-            return stored, verdict
-        better = more_points(settings, made.budget, verdict.error, verdict.exits)
-        if better is None:
-            return stored, verdict
-        made.budget = better
+    """Exits at points, more of them until the error is what was asked for, and what it is.
+
+    More are tried for the judged places alone: to find the points that serve all places takes longer than to gather.
+    """
+    stored, verdict = _judged_points(made, settings, clock)
+    if verdict is None or bound in ("given", "time") or settings.time_budget:
+        return stored, verdict
+    while (better := more_points(settings, made.budget, verdict.error, verdict.exits)) is not None:
+        looked_at = where_judged(made)
+        while better is not None:
+            made.budget = looked_at.budget = better
+            tried = _judged_points(looked_at, settings, clock)[1]
+            better = tried and more_points(settings, better, tried.error, tried.exits)
+        stored, verdict = _judged_points(made, settings, clock)
+    return stored, verdict
+
+
+def _judged_points(made, settings, clock):
+    stored = bake_points(made, settings, clock)
+    clock.start(Clock.JUDGING)
+    orphan = (stored.texels if len(made.exits) else stored.vertices).orphan
+    verdict = judge(made, settings.seed, shown_by_points(made, stored), orphan, clock.pulse)
+    clock.stop()
+    return stored, verdict
 
 
 def _late(made: Prepared, settings: Settings, clock: Clock) -> list[str]:

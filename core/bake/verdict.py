@@ -8,7 +8,7 @@ tell what to spend more on.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -167,6 +167,15 @@ def _look(made, seed, tick):
         more = uneven_light(made, samples, fields, PATHS, seed + salt + 10)
         halves.append((even, panes.reshape(len(samples), 2, *even.shape[1:]), more))
     return Looks(chosen, block, samples, value, halves)
+
+
+def where_judged(made: Prepared) -> Prepared:
+    """The same with no other places than those that were judged."""
+    chosen, at = np.unique(made.looks.chosen, return_inverse=True)
+    looks = replace(made.looks, chosen=at)
+    if len(made.exits):
+        return replace(made, exits=made.exits.keep(chosen), vertices=made.vertices.keep([]), looks=looks)
+    return replace(made, vertices=made.vertices.keep(chosen), looks=looks)
 
 
 def shown_by_texels(made: Prepared, rows: np.ndarray, starts: np.ndarray) -> Show:

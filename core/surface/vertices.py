@@ -28,6 +28,11 @@ class Vertices:
     def __len__(self) -> int:
         return len(self.samples)
 
+    def keep(self, rows: np.ndarray) -> Vertices:
+        """The places at `rows` only, without the triangles between them."""
+        rows = np.asarray(rows, np.int64)
+        return Vertices(self.samples.take(rows), self.triangle[:0], self.corner[:0])
+
 
 def make_vertices(scene: Scene) -> Vertices:
     """Places of all objects that are `at_vertices`; they follow the order of triangles and corners, so the same scene

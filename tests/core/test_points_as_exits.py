@@ -5,14 +5,16 @@ from functools import cache
 
 import numpy as np
 import pytest
-from lightpanes.core.bake import Bake, bake
+from lightpanes.core import planner
+from lightpanes.core.bake import Bake, bake, rounds, run
+from lightpanes.core.bake.stored import bake_points
 from lightpanes.core.planner import Settings, plan, uses_points
 from lightpanes.core.point_cache import Weights
 from lightpanes.core.point_cache.codes import decode, encode, weight_bits
-from lightpanes.core.scene import SceneError
+from lightpanes.core.scene import SceneError, SceneObject
 from lightpanes.core.surface import make_vertices
 
-from .shapes import box, lamp, quick, relighter, room, scene
+from .shapes import box, grid, lamp, quick, relighter, room, room_parts, scene
 
 LIGHT = lamp((3, 1.5, 2))
 POINTS = {"exits": "points", "points": 1200, "point_rays": 512}
@@ -184,6 +186,35 @@ def test_a_time_budget_cuts_the_exits_rays(exits):
     budget = bake(made, quick(**(POINTS | {"exits": exits, "time_budget": 0.01}))).report["budget"]
     cut, whole = ("exit_rays", "point_rays") if exits == "texels" else ("point_rays", "exit_rays")
     assert budget[cut] == 16 and budget[whole] > 16
+
+
+@pytest.mark.parametrize("at_vertices", [False, True])
+def test_trials_of_more_points_serve_judged_places_alone_and_leave_no_trace(monkeypatch, at_vertices):
+    place, planned, served = room(lights=[LIGHT]), planner.Budget(300, 128, 64, 8, 8, 60, 100, 128), []
+    if at_vertices:
+        points, faces, flat = grid((0.1, 0.1, 0.2), (3.8, 0, 0), (0, 2.8, 0), 100)
+        place = scene(room_parts()[0], (points, faces, flat, 0), lights=[LIGHT])
+        place = replace(place, objects=[SceneObject("Room", receives=False), SceneObject("Floor", at_vertices=True)])
+    monkeypatch.setattr(rounds, "plan", lambda *_: planned)
+    monkeypatch.setattr(rounds, "ROUNDS", 0)
+    more = iter([replace(planned, points=200), replace(planned, points=400), None, None])
+    monkeypatch.setattr(run, "more_points", lambda *_: next(more))
+
+    def counted(made, *rest):
+        served.append(len(made.exits) + len(made.vertices))
+        return bake_points(made, *rest)
+
+    monkeypatch.setattr(run, "bake_points", counted)
+    settings = Settings(error_target=0.01, resolution=128, exits="points")
+    found = bake(place, settings)
+    first, some, again, last = served
+    assert first == last > some == again
+    # what is tried first has half of the points
+    monkeypatch.setattr(rounds, "plan", lambda *_: replace(planned, points=800))
+    monkeypatch.setattr(run, "more_points", lambda *_: None)
+    at_once = bake(place, settings)
+    assert np.array_equal(found.panes().rows, at_once.panes().rows)
+    assert found.report["error"] == at_once.report["error"]
 
 
 def test_detailed_meshes_want_more_points():
