@@ -116,7 +116,9 @@ def _judges(surfaces, ground, surface, transport, seed):
         return many
     direct = _seen(EntryLight(surface, surfaces.tracer, seed, few=1), many, entries)
     field = transport.arriving(entries.albedo.mean(axis=1, keepdims=True) * direct)
-    area = (entries.area / entries.area.sum()).astype(np.float32)
+    # what is shown are fronts: a lamp inside a thing with a slit lights its backs alone
+    area = np.where(entries.back, 0, entries.area) if not entries.back.all() else entries.area
+    area = (area / area.sum()).astype(np.float32)
     mean = area @ field
     alike = np.array([lamp.name for lamp in many]) == ANYWHERE
     # suns are measured in other units; where nothing is passed on, all are alike

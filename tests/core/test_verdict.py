@@ -29,7 +29,7 @@ from lightpanes.core.planner import (
 from lightpanes.core.threads import use_threads
 from lightpanes.tests.frugal import save_rays
 
-from .shapes import lamp, quick, room
+from .shapes import box, lamp, quad, quick, room, scene
 
 pytestmark = pytest.mark.usefixtures("exact")
 
@@ -53,6 +53,20 @@ def truth(made):
     places = made.exits.samples
     even, _ = even_light(made, places, region_of(made.starts), no_panes(made), 2048, 900)
     return even + uneven_light(made, places, entry_fields(made), 64, 901)
+
+
+def test_no_judge_is_inside_a_thing_with_a_slit():
+    """Such a lamp lights the thing's back alone, which nothing shows."""
+    low, high = np.array((1.0, 0.8, 0.4)), np.array((2.2, 1.8, 1.6))
+    points, faces, flat = box(low, high)
+    top = (points[faces][..., 2] == high[2]).all(axis=1)
+    lid = quad((*low[:2], high[2]), (1.2, 0, 0), (0, 0.97, 0))
+    place = scene((*box((0, 0, 0), (4, 3, 2.5), True), 0), (points, faces[~top], flat[~top], 0), (*lid, 0))
+    made = prepare(place, quick())
+    # there is air inside, and walls that pass light on
+    assert made.entries.back.sum() > 20
+    at = np.array([light.position for light in made.test_lamps])
+    assert len(at) > 12 and not ((at > low) & (at < high)).all(axis=1).any()
 
 
 def no_panes(made):
