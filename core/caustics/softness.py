@@ -139,7 +139,8 @@ def aimed(light: Light, bounds: Bounds, places: np.ndarray, extent: float) -> li
         return _sun(light, bounds, places, extent, base)
     points = bounds.seen_from(light.position) - light.position
     far, distance, reach = _far(points), np.linalg.norm(points, axis=1), _reach(light)
-    if distance.min() < NEAR * reach or (points @ base.axes[2] < ALIKE * distance).any():
+    # a ring's middle may be nearer than all of it
+    if min(far, distance.min()) < NEAR * reach or (points @ base.axes[2] < ALIKE * distance).any():
         return None
     axes = base.axes
     if light.kind == "AREA":

@@ -10,7 +10,7 @@ from lightpanes.core.caustics.softness import aimed, cells
 from lightpanes.core.metrics import relative_rmse
 from lightpanes.core.sampling import concentric_disk, hammersley_points
 
-from .caustic_scenes import ball, floor, floor_places, glass, staged, within
+from .caustic_scenes import ball, band, floor, floor_places, glass, staged, within
 from .shapes import GREY, lamp
 
 
@@ -83,3 +83,11 @@ def test_a_soft_lamp_is_the_sum_of_its_points():
         total = total + atlas.image([hard], 3_000)[..., 0] / len(places)
     assert relative_rmse(image, total, within(inside), block=4) < 0.15
     assert np.isclose(image[inside].sum(), total[inside].sum(), rtol=0.02)
+
+
+def test_a_ring_around_a_soft_lamp_lights_as_around_a_hard_one():
+    """No part of the ring is near, but its middle is in the lamp, where nothing can be aimed at."""
+    atlas = CausticAtlas(staged(floor(), band(0.63, 0.2)), 64)
+    hard, small, large = (atlas.image([lamp((0, 0, 0.4), radius=r)], 20_000)[..., 0].sum() for r in (0.0, 0.05, 0.3))
+    assert small == pytest.approx(hard, rel=0.02)
+    assert large == pytest.approx(hard, rel=0.15)
