@@ -21,7 +21,7 @@ RARELY = 8
 """One ray in so many is sent from there."""
 
 LEARNT = 3
-"""One in so many rays is counted; to count all would cost more than it tells."""
+"""One in so many rays is counted, about; to count all would cost more than it tells."""
 
 _F = np.float32
 
@@ -65,9 +65,11 @@ class Darkness:
         u[0][dark] *= RARELY
         return rows, u, np.where(dark, _F(1 / RARELY), _F(1))
 
-    def learn(self, lamp: int, cell: np.ndarray, passed: np.ndarray) -> None:
-        """Rays to a lamp from cells (n,), and whether any light passed, (n,) bool."""
-        cell, passed = cell[::LEARNT], passed[::LEARNT]
+    def learn(self, lamp: int, cell: np.ndarray, passed: np.ndarray, u: np.ndarray) -> None:
+        """Rays to a lamp from cells (n,), whether any light passed, (n,) bool, and a number of each in [0, 1), (n,) float32,
+        whose last digits say whether it counts: that does not depend on what else is traced together."""
+        counts = np.flatnonzero(u.view(np.uint32) % LEARNT == 0)
+        cell, passed = cell.take(counts), passed.take(counts)
         count = len(self._sent[lamp])
         sent, through = np.bincount(cell, minlength=count), np.bincount(cell[passed], minlength=count)
         with self._lock:

@@ -99,7 +99,7 @@ class Lamps:
         if share is not None:
             value = value / share
         if light.casts_shadow:
-            value = self._shadowed(number, cell, value, points, vectors)
+            value = self._shadowed(number, cell, u[1], value, points, vectors)
         for k in range(3):
             part = (value if value.ndim == 1 else value[:, k]) * self._colour[number][k]
             if rows is None:
@@ -107,22 +107,23 @@ class Lamps:
             else:
                 result[k][rows] += part
 
-    def _shadowed(self, number, cell, value, points, vectors):
+    def _shadowed(self, number, cell, u, value, points, vectors):
         """Values where nothing stands in between, (n,), or (n, 3) behind coloured glass."""
         lit = np.flatnonzero(value > 0)
         if len(lit) == len(value):
             through = self._tracer.visibility(points, join(*vectors))
-            self._learn(number, cell, through)
+            self._learn(number, cell, through, u)
         else:
             ways = join(*(part.take(lit, mode="clip") for part in vectors))
             some = self._tracer.visibility(points.take(lit, axis=0, mode="clip"), ways)
-            self._learn(number, cell.take(lit, mode="clip"), some)
+            self._learn(number, cell.take(lit, mode="clip"), some, u.take(lit, mode="clip"))
             through = np.zeros((len(value), *some.shape[1:]), np.float32)
             through[lit] = some
         return value * through if through.ndim == 1 else scaled(through, value)
 
-    def _learn(self, number, cell, through):
-        self.darkness.learn(number, cell, (through if through.ndim == 1 else through.max(axis=1, initial=0)) > 0)
+    def _learn(self, number, cell, through, u):
+        passed = (through if through.ndim == 1 else through.max(axis=1, initial=0)) > 0
+        self.darkness.learn(number, cell, passed, u)
 
 
 def _turned(u, turn):

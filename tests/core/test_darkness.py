@@ -77,7 +77,8 @@ def test_rare_rays_count_for_all():
     # as if a wall had stood there when the rays were sent
     cell = lamps.darkness.cells(points.T)
     lamps.darkness = Darkness(1, BOUNDS)
-    lamps.darkness.learn(0, cell, np.zeros(len(cell), bool))
+    u = np.random.default_rng(3).random(len(cell)).astype(np.float32)
+    lamps.darkness.learn(0, cell, np.zeros(len(cell), bool), u)
     lamps.darkness.settle()
     rare = asked(lamps, points, normals, 2)
     assert 0 < np.count_nonzero(rare[:, 0]) < 1.3 * len(points) / RARELY
@@ -85,3 +86,20 @@ def test_rare_rays_count_for_all():
     # and now that light was seen all ask again
     lamps.darkness.settle()
     assert np.count_nonzero(asked(lamps, points, normals, 3)[:, 0]) == len(points)
+
+
+def test_what_is_learnt_does_not_depend_on_how_points_are_cut_into_pieces():
+    scene = wall(0.05), (*shapes.quad((-1, -1, -1), (10, 0, 0), (0, 6, 0)), 0)
+    points, normals = floor_points(50_000, (0, 0), (8, 4))
+    u = np.random.default_rng(1).random((2, len(points))).astype(np.float32)
+    rays = []
+    for pieces in (1, 8):
+        tracer = Counting(*scene)
+        lamps = Lamps([LAMP], tracer, BOUNDS)
+        for piece in np.array_split(np.arange(len(points)), pieces):
+            lamps.irradiance(points[piece], normals[piece], u[:, piece], u[0, piece])
+        lamps.darkness.settle()
+        tracer.sent = 0
+        asked(lamps, points, normals, 2)
+        rays.append(tracer.sent)
+    assert rays[0] == rays[1] < 0.9 * len(points)
