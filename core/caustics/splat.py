@@ -179,7 +179,8 @@ def splat(
     places = None if soft is None else (cell[order], offset)
     # as many samples together as make the sum over all texels cheap, at a hundred bytes each
     batch = max(BATCH, size * size // 4)
-    sums = {}
+    # what waits for its filter: of one filter at a time, for there can be many
+    waiting = {}
 
     def run(task):
         parts = [_samples(values[:, :, part], na, nb, part.start, places) for na, nb, part in task]
@@ -187,6 +188,8 @@ def splat(
         columns, rows = _kept(x, y, wide.take(patch), high.take(patch), patch, home, chart, receivers)
         power = np.concatenate([p[3] for p in parts], axis=1)
         filtered = int(level[task[0][2].start])
+        if filtered not in waiting:
+            finish()
         if filtered:
             # near another chart's texels light is not blurred
             deep = receivers.depth.take(rows[0] * size + columns[0]) >= REACH[filtered]
@@ -198,10 +201,18 @@ def splat(
     def add(number, columns, rows, power):
         if not len(columns[0]):
             return
-        if number not in sums:
-            sums[number] = np.zeros_like(total)
-        for target, value in zip(sums[number], _spread(columns, rows, power, size), strict=True):
+        if number and number not in waiting:
+            waiting[number] = np.zeros_like(total)
+        for target, value in zip(
+            waiting[number] if number else total, _spread(columns, rows, power, size), strict=True
+        ):
             target += value
+
+    def finish():
+        for number, found in waiting.items():
+            for target, value in zip(total, found, strict=True):
+                target += blurred(value.reshape(size, size), WIDTHS[number]).reshape(-1)
+        waiting.clear()
 
     task, count = [], 0
     for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
@@ -220,9 +231,7 @@ def splat(
                 task, count = [], 0
     if task:
         run(task)
-    for number, found in sums.items():
-        for target, value in zip(total, found, strict=True):
-            target += blurred(value.reshape(size, size), WIDTHS[number]).reshape(-1) if number else value
+    finish()
     return total.T
 
 

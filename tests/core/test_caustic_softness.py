@@ -1,5 +1,6 @@
 """Soft lamps: parts of a lamp, light that each spreads over its part, and the filter that smooths it."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -91,3 +92,17 @@ def test_a_ring_around_a_soft_lamp_lights_as_around_a_hard_one():
     hard, small, large = (atlas.image([lamp((0, 0, 0.4), radius=r)], 20_000)[..., 0].sum() for r in (0.0, 0.05, 0.3))
     assert small == pytest.approx(hard, rel=0.02)
     assert large == pytest.approx(hard, rel=0.15)
+
+
+def test_a_soft_lamp_takes_little_more_memory_than_a_hard_one():
+    """One filter's picture at a time."""
+    atlas = CausticAtlas(
+        staged(floor(), ball((0, 0, 0.72), 0.4, 64), materials=(GREY, glass(absorption=(0.1, 0.2, 0.3)))), 384
+    )
+    most = []
+    for light in (lamp((0.5, 0.2, 2.4)), lamp((0.5, 0.2, 2.4), radius=0.2)):
+        tracemalloc.start()
+        atlas.image([light], 10_000)
+        most.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert most[1] < 1.6 * most[0]
