@@ -71,6 +71,11 @@ class Ground:
     warnings: list[str] = field(default_factory=list)
 
 
+def part_name(kind: str, entries: int, hurried: bool) -> str:
+    """What a kept part of so many entries asked for is called: a hurried bake finds others of them."""
+    return f"{kind} {entries}, hurried" if hurried else f"{kind} {entries}"
+
+
 def find_ground(surfaces: Surfaces, settings: Settings, budget: Budget, clock: Clock) -> Ground:
     """As many entries as the budget has. Raises SceneError where there are more than memory allows."""
     scene, seed, tracer, texels = surfaces.scene, settings.seed, surfaces.tracer, surfaces.texels

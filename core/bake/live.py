@@ -18,7 +18,7 @@ from ..scene import Light
 from ..transfer import ElementTransport, Entries, Transport
 from ..transfer.entries import PLACES
 from .clock import Clock
-from .ground import Ground, Surfaces
+from .ground import Ground, Surfaces, part_name
 from .kept import Kept
 
 CANDIDATES = 72
@@ -60,7 +60,7 @@ def learn(
     lamps = training_lamps(scene, places, ground.gatherer, budget.lamps, seed + 6)
     clock.start("Lamps", len(lamps))
     direct = kept.part(
-        f"lamps {budget.entries}",
+        part_name("lamps", budget.entries, surfaces.hurried),
         lambda: illuminate(lamps, places, PLACES, tracer, seed, lambda n: clock.tick(n, n * len(entries))),
     )
     test = _judges(surfaces, ground, surface, transport, seed) if judges is None else judges

@@ -25,7 +25,7 @@ from ..transfer import (
     make_transport,
 )
 from .clock import Clock
-from .ground import Ground, Surfaces, find_ground, find_surfaces
+from .ground import Ground, Surfaces, find_ground, find_surfaces, part_name
 from .kept import Kept
 from .live import learn, nothing_live
 from .steady import piece_excess, static_caustics, static_light, steady_light
@@ -117,7 +117,9 @@ def prepare(scene: Scene, settings: Settings, clock: Clock | None = None, kept: 
 
 def transport_parts(entries: int) -> tuple[str, ...]:
     """Names of the kept parts that nothing needs once a bake is prepared."""
-    return f"transport {entries}", f"links {entries}", f"lamps {entries}"
+    return tuple(
+        part_name(kind, entries, hurried) for kind in ("transport", "links", "lamps") for hurried in (False, True)
+    )
 
 
 def time_left(settings: Settings, clock: Clock) -> float:
@@ -133,14 +135,14 @@ def prepare_with(
     kept: Kept,
     judges: list[Light] | None = None,
 ) -> Prepared:
-    """The stages after the surfaces', with a budget. What is kept goes by the number of entries asked for.
+    """The stages after the surfaces', with a budget. What is kept goes by the number of entries asked for (`part_name`).
 
     judges: held-out lamps, None for some that are drawn here.
     """
     scene, seed, at_points, tracer = surfaces.scene, settings.seed, surfaces.at_points, surfaces.tracer
     ground = find_ground(surfaces, settings, budget, clock)
     patches, entries, gatherer = ground.patches, ground.entries, ground.gatherer
-    transport = _transport(ground, budget, clock, kept, seed)
+    transport = _transport(ground, surfaces.hurried, budget, clock, kept, seed)
     surface = EntrySurface.of(entries, patches, entries.places, tracer.offset)
     if needs_panes(scene):
         live = learn(surfaces, ground, surface, transport, budget, clock, kept, seed, judges)
@@ -178,15 +180,20 @@ def prepare_with(
     return made
 
 
-def _transport(ground: Ground, budget: Budget, clock: Clock, kept: Kept, seed: int) -> Transport | ElementTransport:
+def _transport(
+    ground: Ground, hurried: bool, budget: Budget, clock: Clock, kept: Kept, seed: int
+) -> Transport | ElementTransport:
     """Between all entries, or between the whole ones, with links to the elements of near ones."""
     elements, rays = ground.elements, budget.entry_rays
     clock.start("Transport", (len(ground.whole[0]) + (0 if elements is None else len(elements))) * rays)
-    transport = kept.part(f"transport {budget.entries}", lambda: make_transport(*ground.whole, rays, seed, clock.tick))
+    transport = kept.part(
+        part_name("transport", budget.entries, hurried),
+        lambda: make_transport(*ground.whole, rays, seed, clock.tick),
+    )
     if elements is None:
         return transport
     links = kept.part(
-        f"links {budget.entries}",
+        part_name("links", budget.entries, hurried),
         lambda: link_elements(ground.whole[0], elements, transport, ground.gatherer, rays, seed, clock.tick),
     )
     return ElementTransport(elements, transport, links)

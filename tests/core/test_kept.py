@@ -1,5 +1,6 @@
 """A cancelled bake goes on where it ended, and ends the same."""
 
+from dataclasses import replace
 from functools import cache
 from itertools import count
 
@@ -7,8 +8,10 @@ import numpy as np
 import pytest
 from lightpanes.core.bake import Cancelled, Kept, bake, clock
 from lightpanes.core.bake.kept import digest
+from lightpanes.core.bake.steps import find_surfaces, prepare_with, transport_parts
+from lightpanes.core.planner import plan
 
-from .shapes import lamp, quick, room
+from .shapes import COLOURS, box, lamp, quick, room, room_parts, scene
 
 pytestmark = pytest.mark.usefixtures("frugal")
 
@@ -160,3 +163,21 @@ def test_time_left_counts_what_cancelled_goes_took(monkeypatch):
     for told in left[:-1]:
         then = next(one for one in whole if one.fraction >= max(told.fraction, clock.Clock.STAGES["Points"]))
         assert told.seconds_left >= 0.9 * then.seconds_left
+
+
+def test_a_hurried_bake_leaves_parts_that_no_other_takes_for_its_own():
+    """Of as many entries asked for; it finds fewer of them."""
+    random = np.random.default_rng(0)
+    low = random.uniform((0.2, 0.2, 0.1), (3.6, 2.6, 2.2), (150, 3))
+    boxes = [(*box(a, a + random.uniform(0.02, 0.3, 3)), 1) for a in low]
+    made = scene(*room_parts(), *boxes, materials=COLOURS, lights=[lamp((3, 1.5, 2))])
+    settings, kept, told = quick(), Kept(), clock.Clock()
+    surfaces, budget = find_surfaces(made, settings, told), plan(made, settings)
+    counts = []
+    for hurried in (True, False):
+        found = prepare_with(replace(surfaces, hurried=hurried), settings, budget, told, kept)
+        counts.append(len(found.entries))
+        assert len(found.transport) == counts[-1]
+    assert counts[0] != counts[1]
+    kept.drop(*transport_parts(budget.entries))
+    assert not kept.parts
