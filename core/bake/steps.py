@@ -230,7 +230,8 @@ def gather_in_time(
     few = gather(min(FEW_RAYS, rays), seed + 100)
     each = max(clock.spent - began, 1e-4) / min(FEW_RAYS, rays)
     more = int(min(rays, KEPT_FOR_CHECK * time_left(settings, clock) / each))
-    if more <= 2 * FEW_RAYS:
+    # some more than a few are hardly worth beginning anew, unless they are all
+    if rays <= FEW_RAYS or more < min(rays, 2 * FEW_RAYS + 1):
         made.budget = replace(made.budget, **{field: min(FEW_RAYS, rays)})
         return few
     made.budget = replace(made.budget, **{field: more})

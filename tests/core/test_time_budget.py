@@ -80,6 +80,12 @@ def test_with_time_to_spare_the_error_binds(on):
     assert used < 100
 
 
+@pytest.mark.parametrize("rays", [8, 24, 40])
+def test_rays_that_are_asked_for_are_sent_where_there_is_time(on, rays):
+    report, _ = on(3e7, 1000.0, exit_rays=rays)
+    assert report["budget"]["exit_rays"] == rays
+
+
 def test_time_spent_on_reading_the_scene_counts(on):
     report, used = on(3e6, 12.0, spent=10.0)
     assert 10 + used <= 13 and report["budget"] == on(3e6, 2.0)[0]["budget"]
