@@ -28,7 +28,7 @@ NEAR = 4.0
 """Within this many times its size, an entry shines unevenly."""
 
 SETTLED, MOST_BOUNCES = 1e-3, 1000
-"""Part of all light that a bounce may still change."""
+"""Part of all light that the bounces which are left out may still change."""
 
 TOGETHER, PATHS = 64, 16_384
 """Places of one region that are blended at once; paths that are followed at once."""
@@ -37,18 +37,31 @@ TOGETHER, PATHS = 64, 16_384
 def entry_fields(made: Prepared) -> EntryFields:
     """All bounces of the test lamps' light by the transport; remembered, for the transport is let go.
 
-    From what panes say of them, until nothing changes any more.
+    From what panes say of them, until nothing changes any more. Where much is reflected each bounce changes but little
+    of what is wrong, so after two of them a step is taken that leaves the least to change (a minimal residual's).
     """
     if made.fields is None:
         entries, lamps = made.entries, len(made.test_lamps)
         albedo = np.tile(entries.albedo, (1, lamps))
         direct = np.repeat(made.test_direct, 3, axis=1)
         radiosity = made.weights.radiosity_of_white(made.test_direct)
+        last = None
         for _ in range(MOST_BOUNCES):
             arriving = made.transport.arriving(radiosity)
             before, radiosity = radiosity, albedo * (direct + arriving)
-            if (np.abs(radiosity - before).sum(axis=0) <= SETTLED * radiosity.sum(axis=0)).all():
+            step = radiosity - before
+            if last is None:
+                last = step
+                continue
+            change, earlier = np.abs(step).sum(axis=0), np.abs(last).sum(axis=0)
+            # the rest of a geometric series that falls as its terms do, or as no light falls more slowly
+            falls = np.where(change < earlier, change / np.maximum(earlier - change, 1e-30), np.inf)
+            left = change * np.minimum(falls, MAX_ALBEDO / (1 - MAX_ALBEDO))
+            if (left <= SETTLED * radiosity.sum(axis=0)).all():
                 break
+            bend = step - last
+            radiosity -= step * ((step * bend).sum(axis=0) / np.maximum((bend * bend).sum(axis=0), 1e-30))
+            last = None
         radiosity = np.pad(radiosity, ((0, made.gatherer.size - len(entries)), (0, 0)))
         made.fields = EntryFields(radiosity.reshape(-1, lamps, 3), arriving.reshape(-1, lamps, 3))
     return made.fields
