@@ -1,5 +1,5 @@
-"""What even entries make wrong: nearness against its closed form, moments against the lamp's place, and both against light
-that leaves the entries where it really does."""
+"""What even entries make wrong: nearness against its closed form, moments against the lamp's place, and both together
+against light that leaves an entry where it really does."""
 
 import numpy as np
 import pytest
@@ -45,3 +45,18 @@ def test_moments_point_to_the_lamp():
     size, albedo = ready.surface.size, ready.surface.albedo
     assert np.allclose(unevenness(3 * moment, albedo, size, near), 3 * unevenness(moment, albedo, size, near))
     assert not unevenness(moment, 0 * albedo, size, near).any()
+
+
+def test_a_small_entry_below_a_ceiling():
+    """Light that rises evenly along x over a square entry, by sums over the entry and over the ceiling."""
+    height, side, albedo, slope = 0.9, 0.1, 0.6, 3.0
+    x, y = ((np.arange(8) + 0.5) / 8 - 0.5) * side, np.linspace(-9, 9, 601)
+    moment = slope * np.mean(x**2)
+    rise = slope * x
+    distance2 = (y[:, None, None] - x) ** 2 + y[None, :, None] ** 2 + height**2
+    wrong = albedo * side**2 * (rise * height**2 / (np.pi * distance2**2)).mean(axis=2)
+    expected = np.sqrt((wrong**2).sum() * (y[1] - y[0]) ** 2)
+    one, near = np.array([moment, 0, 0])[None], np.array([2 / (5 * np.pi * height**4)])
+    found = unevenness(one, np.full((1, 3), albedo), np.array([side]), near)
+    # of all surface, which is the entry here
+    assert found * side == pytest.approx(expected, rel=0.01)
