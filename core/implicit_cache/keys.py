@@ -20,6 +20,9 @@ CORNERS = np.array([[k >> 2 & 1, k >> 1 & 1, k & 1] for k in range(8)])
 
 CORNER_STEPS = (CORNERS.astype(np.uint64) * STEPS).sum(axis=1, dtype=np.uint64)
 
+PARTS = 4
+"""Into which entries are divided, a power of two of at most 4."""
+
 FINENESS = np.float32(3.5)
 """Components of a normal times this are rounded: its bins are some 16° wide. On curved surfaces wider ones show, and
 blur what narrow ones keep (SSIM of a moving statue by 26, 98 and these bins: 0.943, 0.949, 0.953)."""
@@ -39,6 +42,15 @@ def mix(keys: np.ndarray) -> np.ndarray:
     keys *= np.uint64(0x94D049BB133111EB)
     keys ^= keys >> np.uint64(31)
     return keys
+
+
+def parts_of(keys: np.ndarray) -> np.ndarray:
+    """(n,) uint8 below PARTS of (n,) uint64 keys: entries of different parts never lie in one slot of a table, so that
+    threads can write them at once.
+
+    The bits are some by which a table tells keys apart: those that it takes for one are in one part.
+    """
+    return (mix(keys) >> np.uint64(30)).astype(np.uint8) & np.uint8(PARTS - 1)
 
 
 def surface_keys(normal: np.ndarray | None, object_id: np.ndarray | None, seed: int, count: int) -> np.ndarray:

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .keys import CORNER_STEPS, CORNERS, lattice_keys
+from .keys import CORNER_STEPS, CORNERS, PARTS, lattice_keys, parts_of
 from .levels import cell_size
-from .shares import Shares
+from .shares import Shares, grouped
 
 _SCATTER = 0x9E3779B97F4A7C15
 
@@ -63,19 +63,35 @@ def share_points(points: Points, octaves: int) -> tuple[Shares, Points]:
 
 
 def _shares(place, cells, which):
-    """Shares of places (3, n) in [0, 1] of cells, each in one of them, and the cells' corners, each once."""
+    """Shares of places (3, n) in [0, 1] of cells, each in one of them, and the cells' corners, each once, by parts."""
     keys = (cells.key + CORNER_STEPS[:, None]).reshape(-1)
-    example, number = distinct(keys)
+    stands = _stands(keys)
+    example = np.flatnonzero(stands == np.arange(len(keys), dtype=np.int32))
+    part = parts_of(keys.take(example))
+    example = example.take(np.argsort(part, kind="stable"))
+    bounds = np.concatenate([[0], np.cumsum(np.bincount(part, minlength=PARTS))])
+    number = _numbers(stands, example)
     corner, row = np.divmod(example, max(len(cells.key), 1))
     points = cells.take(row)
     points = points._replace(cell=points.cell + CORNERS.T.take(corner, axis=1), key=keys.take(example))
-    beyond = place > np.float32(0.5)
-    nearest = beyond[0] * 4 + beyond[1] * 2 + beyond[2]
-    return Shares(trilinear(place), which, number.reshape(8, -1), nearest, len(example)), points
+    sample, there, owner = grouped(which, len(cells.key))
+    weight = trilinear(place.take(sample.reshape(-1), axis=1, mode="clip"))
+    filled = np.zeros(weight.shape[1], np.float32)
+    filled[there] = 1
+    weight *= filled
+    corners = number.reshape(8, -1).take(owner, axis=1, mode="clip")
+    return Shares(weight.reshape(8, *sample.shape), corners, sample, there, bounds), points
 
 
 def distinct(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows (k,) of (n,) uint64 keys, one for each different key, and (n,) which of the k each is. By hashing: no sort."""
+    """Rows (k,) of (n,) uint64 keys, one for each different key, and (n,) which of the k each is."""
+    stands = _stands(keys)
+    chosen = np.flatnonzero(stands == np.arange(len(keys), dtype=np.int32))
+    return chosen, _numbers(stands, chosen)
+
+
+def _stands(keys):
+    """(n,) int32: a row for each of (n,) uint64 keys, the same for all that are equal. By hashing: no sort."""
     count = len(keys)
     rows = np.arange(count, dtype=np.int32)
     bits = max(count.bit_length(), 4)
@@ -96,10 +112,14 @@ def distinct(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             stands[open_] = open_.take(stand)
         # those that found another key at their place will be put right
         open_, keys, scatter = open_.take(more), keys.take(more), scatter * _SCATTER & 0xFFFFFFFFFFFFFFFF
-    chosen = np.flatnonzero(stands == rows)
-    number = np.empty(count, np.int64)
+    return stands
+
+
+def _numbers(stands, chosen):
+    """(n,) int64: where the row that stands for each is among the chosen ones."""
+    number = np.empty(len(stands), np.int64)
     number[chosen] = np.arange(len(chosen))
-    return chosen, number.take(stands, mode="clip")
+    return number.take(stands, mode="clip")
 
 
 def trilinear(place: np.ndarray) -> np.ndarray:

@@ -81,10 +81,10 @@ def find_piece(
     octaves: from each lattice to the next coarser one.
     """
     shares, points = share_samples(position, level, surface)
-    tiers = [Tier(shares, points, table.find(points.key), shares.sums().astype(np.float32))]
+    tiers = [Tier(shares, points, table.find(points.key), shares.weights())]
     for step in octaves:
         shares, points = share_points(points, step)
-        tiers.append(Tier(shares, points, table.find(points.key), shares.sums(tiers[-1].share).astype(np.float32)))
+        tiers.append(Tier(shares, points, table.find(points.key), shares.sums(tiers[-1].share[None])[0]))
     if not measured:
         return Piece(tiers, None, None)
     return Piece(tiers, tiers[1].shares.nearest_entries(), np.zeros((2, tiers[1].shares.entries)))
