@@ -21,7 +21,7 @@ class Tier:
     """m different entries on one lattice.
 
     shares: of the samples, or of the entries of the next finer tier, among these. points: (m,) where they are;
-    slot: (m,) int32, where the table has them. share: (m,) float32, what the samples weigh in sum.
+    slot: (m,) int64, where the table has them: numpy takes no other numbers without copying them. share: (m,) float32, what the samples weigh in sum.
     """
 
     shares: Shares
@@ -62,7 +62,7 @@ class Places:
         if self.moves == table.moves:
             return
         for tier in self.tiers:
-            slot = table.find(tier.points.key)
+            slot = table.find(tier.points.key).astype(np.int64)
             self.whole &= not ((slot == table.nowhere) & (tier.slot != table.nowhere)).any()
             tier.slot = slot
         self.moves = table.moves
@@ -80,11 +80,15 @@ def find_piece(
 
     octaves: from each lattice to the next coarser one.
     """
+
+    def tier(shares, points, share):
+        return Tier(shares, points, table.find(points.key).astype(np.int64), share)
+
     shares, points = share_samples(position, level, surface)
-    tiers = [Tier(shares, points, table.find(points.key), shares.weights())]
+    tiers = [tier(shares, points, shares.weights())]
     for step in octaves:
         shares, points = share_points(points, step)
-        tiers.append(Tier(shares, points, table.find(points.key), shares.sums(tiers[-1].share[None])[0]))
+        tiers.append(tier(shares, points, shares.sums(tiers[-1].share[None])[0]))
     if not measured:
         return Piece(tiers, None, None)
     return Piece(tiers, tiers[1].shares.nearest_entries(), np.zeros((2, tiers[1].shares.entries)))

@@ -61,10 +61,14 @@ class Shares:
         return result
 
     def nearest_entries(self) -> np.ndarray:
-        """(n,) int64, of each sample's entries the one with the largest weight, the first of several."""
-        groups = self.corner.shape[1]
-        corner = self.weight.argmax(axis=0)
-        return self.corner.reshape(-1).take((corner * groups + np.arange(groups)).take(self.place))
+        """(n,) int64, of each sample's entries the one with the largest weight, where none lies on a cell's face: points of
+        a finer lattice don't."""
+        first, groups = self.weight[0], self.corner.shape[1]
+        # x, y and z are on the far side
+        row = 4 * (self.weight[4] > first) + 2 * (self.weight[2] > first) + (self.weight[1] > first)
+        row *= groups
+        row += np.arange(groups)
+        return self.corner.reshape(-1).take(row.take(self.place))
 
 
 def grouped(cell: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -79,7 +83,8 @@ def grouped(cell: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray, np.nd
     order = np.argsort(cell.astype(np.uint16) if cells <= 1 << 16 else cell, kind="stable")
     # how far a cell's samples move on, in the order by cells, when the groups before are filled up
     shift = GROUP * (np.cumsum(groups) - groups) - (np.cumsum(held) - held)
-    there = np.arange(len(cell)) + np.repeat(shift, held)
+    there = shift.take(cell.take(order))
+    there += np.arange(len(cell))
     group = there >> GROUP.bit_length() - 1
     there &= GROUP - 1
     there *= len(owner)
