@@ -16,7 +16,7 @@ import numpy as np
 from ..allocator import keep_freed
 from ..rays import chunks
 from ..threads import in_threads
-from .keys import PARTS, surface_keys
+from .keys import PARTS, surface_tags
 from .levels import levels_of
 from .places import Places, find_piece, make_missing
 from .table import MOST, Table
@@ -139,9 +139,9 @@ class Cache:
             own = np.ascontiguousarray(position[piece].T)
             facing = None if normal is None else np.ascontiguousarray(normal[piece].T)
             ids = None if object_id is None else object_id[piece]
-            surface = surface_keys(facing, ids, self.seed, own.shape[1])
+            tags = surface_tags(facing, ids, self.seed, own.shape[1])
             level = levels_of(footprint[piece] * np.float32(self.fine))
-            return find_piece(self.table, own, level, surface, self.octaves, self.measured)
+            return find_piece(self.table, own, level, tags, self.octaves, self.measured)
 
         places = Places(count, in_threads(find, _pieces(count), self.threads), self.table.moves)
         if create:

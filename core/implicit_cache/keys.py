@@ -53,14 +53,19 @@ def parts_of(keys: np.ndarray) -> np.ndarray:
     return (mix(keys) >> np.uint64(30)).astype(np.uint8) & np.uint8(PARTS - 1)
 
 
-def surface_keys(normal: np.ndarray | None, object_id: np.ndarray | None, seed: int, count: int) -> np.ndarray:
+def surface_tags(normal: np.ndarray | None, object_id: np.ndarray | None, seed: int, count: int) -> np.ndarray:
     """(count,) uint64: what sets surfaces apart that share a cell. normal: (3, n) unit or None; object_id: (n,) ints."""
     tags = np.full(count, np.uint64(seed * 0x9E3779B9 & 0xFFFFFFFFFFFFFFFF))
     if normal is not None:
         tags += normal_bins(normal) << np.uint64(1)
     if object_id is not None:
         tags += object_id.astype(np.uint64) << np.uint64(11)
-    return mix(tags)
+    return tags
+
+
+def surface_keys(normal: np.ndarray | None, object_id: np.ndarray | None, seed: int, count: int) -> np.ndarray:
+    """The same, scattered: (count,) uint64."""
+    return mix(surface_tags(normal, object_id, seed, count))
 
 
 def lattice_keys(cell: np.ndarray, level: np.ndarray, surface: np.ndarray) -> np.ndarray:

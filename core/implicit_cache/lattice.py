@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .keys import CORNER_STEPS, CORNERS, PARTS, lattice_keys, parts_of
+from .keys import CORNER_STEPS, CORNERS, PARTS, lattice_keys, mix, parts_of
 from .levels import cell_size
 from .shares import Shares, grouped
 
@@ -31,33 +31,38 @@ class Points(NamedTuple):
         return Points(self.cell.take(rows, axis=1, mode="clip"), *(part.take(rows, mode="clip") for part in self[1:]))
 
 
-def share_samples(position: np.ndarray, level: np.ndarray, surface: np.ndarray) -> tuple[Shares, Points]:
-    """Samples at positions (3, n), m, at levels (n,) int32, on surfaces (n,) uint64, and the points that they belong to.
+def share_samples(position: np.ndarray, level: np.ndarray, tags: np.ndarray) -> tuple[Shares, Points]:
+    """Samples at positions (3, n), m, at levels (n,) int32, on surfaces of tags (n,) uint64, and the points that they
+    belong to.
 
     Lattice point i lies in the middle of cell i, so that the lattices of no two levels share points.
     """
     place = position / cell_size(level) - np.float32(0.5)
     low = np.floor(place)
     place -= low
-    cell = low.astype(np.int64)
-    key = lattice_keys(cell, level, surface)
     # runs along scanlines first, which are cheaper to tell than what is alike in other lines
-    starts = np.empty(len(key), bool)
-    starts[:1] = True
-    np.not_equal(key[1:], key[:-1], out=starts[1:])
+    starts = np.ones(len(level), bool)
+    differs = level[1:] != level[:-1]
+    for row in (tags, *low):
+        differs |= row[1:] != row[:-1]
+    starts[1:] = differs
     first = np.flatnonzero(starts)
-    example, which = distinct(key.take(first))
-    cells = Points(cell, level, surface, key).take(first.take(example))
-    return _shares(place.astype(np.float32), cells, which.take(np.cumsum(starts) - 1, mode="clip"))
+    cell, level, surface = low.take(first, axis=1).astype(np.int64), level.take(first), mix(tags.take(first))
+    key = lattice_keys(cell, level, surface)
+    example, which = distinct(key)
+    cells = Points(cell, level, surface, key).take(example)
+    which = which.take(np.cumsum(starts) - 1, mode="clip")
+    return _shares(place.astype(np.float32, copy=False), cells, which)
 
 
 def share_points(points: Points, octaves: int) -> tuple[Shares, Points]:
     """Lattice points among those of a lattice that is coarser by so many octaves."""
     wide = 1 << octaves
-    low = (points.cell - (wide >> 1)) >> octaves
-    place = ((points.cell - (low << octaves)).astype(np.float32) + np.float32(0.5)) / wide - np.float32(0.5)
+    cell = points.cell - (wide >> 1)
+    place = ((cell & wide - 1).astype(np.float32) + np.float32(0.5)) / np.float32(wide)
+    cell >>= octaves
     level = points.level + np.int32(octaves)
-    cells = Points(low, level, points.surface, lattice_keys(low, level, points.surface))
+    cells = Points(cell, level, points.surface, lattice_keys(cell, level, points.surface))
     example, which = distinct(cells.key)
     return _shares(place, cells.take(example), which)
 

@@ -21,7 +21,8 @@ class Tier:
     """m different entries on one lattice.
 
     shares: of the samples, or of the entries of the next finer tier, among these. points: (m,) where they are;
-    slot: (m,) int64, where the table has them: numpy takes no other numbers without copying them. share: (m,) float32, what the samples weigh in sum.
+    slot: (m,) int64, where the table has them (numpy copies shorter numbers before it takes by them). share: (m,) float32,
+    what the samples weigh in sum.
     """
 
     shares: Shares
@@ -72,11 +73,11 @@ def find_piece(
     table: Table,
     position: np.ndarray,
     level: np.ndarray,
-    surface: np.ndarray,
+    tags: np.ndarray,
     octaves: Sequence[int],
     measured: bool,
 ) -> Piece:
-    """Entries of samples at positions (3, n), m, at levels (n,) int32, on surfaces (n,) uint64, as far as there are any.
+    """Entries of samples at positions (3, n), m, at levels (n,) int32, on surfaces of (n,) uint64 tags, as far as there are any.
 
     octaves: from each lattice to the next coarser one.
     """
@@ -84,7 +85,7 @@ def find_piece(
     def tier(shares, points, share):
         return Tier(shares, points, table.find(points.key).astype(np.int64), share)
 
-    shares, points = share_samples(position, level, surface)
+    shares, points = share_samples(position, level, tags)
     tiers = [tier(shares, points, shares.weights())]
     for step in octaves:
         shares, points = share_points(points, step)
