@@ -80,11 +80,8 @@ def _shares(place, cells, which):
     corner = example // max(len(cells.key), 1)
     points = cells.take(example - corner * len(cells.key))
     points = points._replace(cell=points.cell + CORNERS.T.take(corner, axis=1), key=keys.take(example))
-    sample, there, owner = grouped(which, len(cells.key))
-    weight = trilinear(place.take(sample.reshape(-1), axis=1, mode="clip"))
-    filled = np.zeros(weight.shape[1], np.float32)
-    filled[there] = 1
-    weight *= filled
+    sample, there, owner, filled = grouped(which, len(cells.key))
+    weight = trilinear(place.take(sample.reshape(-1), axis=1, mode="clip"), filled.reshape(-1))
     corners = number.reshape(8, -1).take(owner, axis=1, mode="clip")
     return Shares(weight.reshape(8, *sample.shape), corners, sample, there, bounds), points
 
@@ -128,14 +125,16 @@ def _numbers(stands, chosen):
     return number.take(stands, mode="clip")
 
 
-def trilinear(place: np.ndarray) -> np.ndarray:
-    """(8, n) float32 weights of a cell's corners, of places (3, n) in [0, 1]; x is the slowest of their bits."""
+def trilinear(place: np.ndarray, filled: np.ndarray) -> np.ndarray:
+    """(8, n) float32 weights of a cell's corners, of places (3, n) in [0, 1] where (n,) is true, and 0 elsewhere; x is the
+    slowest of their bits."""
     x, y, z = place
+    near, far = (1 - x) * filled, x * filled
     weight = np.empty((8, place.shape[1]), np.float32)
-    np.multiply(1 - x, 1 - y, out=weight[0])
-    np.multiply(1 - x, y, out=weight[2])
-    np.multiply(x, 1 - y, out=weight[4])
-    np.multiply(x, y, out=weight[6])
-    weight[1::2] = weight[0::2] * z
+    np.multiply(near, 1 - y, out=weight[0])
+    np.multiply(near, y, out=weight[2])
+    np.multiply(far, 1 - y, out=weight[4])
+    np.multiply(far, y, out=weight[6])
+    np.multiply(weight[0::2], z, out=weight[1::2])
     weight[0::2] -= weight[1::2]
     return weight

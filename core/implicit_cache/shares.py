@@ -71,27 +71,25 @@ class Shares:
         return self.corner.reshape(-1).take(row.take(self.place))
 
 
-def grouped(cell: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """`sample` and `place` of Shares for (n,) int64 cells, each of which has a sample, and (groups,) int64 their cells.
-
-    Where a group is not full the first of its samples stands once more, in no sample's place.
+def grouped(cell: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """`sample` and `place` of Shares for (n,) int64 cells, each of which has a sample; (groups,) int64 their cells; and
+    (GROUP, groups) bool, where a sample stands. Elsewhere the last of its group stands once more.
     """
     held = np.bincount(cell, minlength=cells)
     groups = held + (GROUP - 1) >> GROUP.bit_length() - 1
     owner = np.repeat(np.arange(cells), groups)
     # short numbers are sorted by their bytes, in a sixth of the time
     order = np.argsort(cell.astype(np.uint16) if cells <= 1 << 16 else cell, kind="stable")
-    # how far a cell's samples move on, in the order by cells, when the groups before are filled up
-    shift = GROUP * (np.cumsum(groups) - groups) - (np.cumsum(held) - held)
-    there = shift.take(cell.take(order))
-    there += np.arange(len(cell))
-    group = there >> GROUP.bit_length() - 1
-    there &= GROUP - 1
-    there *= len(owner)
-    there += group
+    # where in that order a group begins, and the last of its cell
+    ends = np.cumsum(held)
+    begins = ends - held - GROUP * (np.cumsum(groups) - groups)
+    begin, last = begins.take(owner), ends.take(owner) - 1
+    begin += GROUP * np.arange(len(owner))
+    there = begin + np.arange(GROUP)[:, None]
+    filled = there <= last
+    sample = order.take(np.minimum(there, last, out=there))
     place = np.empty(len(cell), np.int64)
-    place[order] = there
-    sample = np.empty((GROUP, len(owner)), np.int64)
-    sample[:] = order.take(GROUP * np.arange(len(owner)) - shift.take(owner))
-    sample.reshape(-1)[there] = order
-    return sample, place, owner
+    # those that stand there once more are overwritten
+    for row in range(GROUP - 1, -1, -1):
+        place[sample[row]] = np.arange(row * len(owner), (row + 1) * len(owner))
+    return sample, place, owner, filled

@@ -65,10 +65,11 @@ def test_points_stand_by_parts():
 def test_groups_hold_each_sample_once_and_only_such_of_one_cell(cells):
     random = np.random.default_rng(cells)
     cell = random.permutation(np.concatenate([np.arange(cells), random.integers(0, cells, 3 * cells)]))
-    sample, place, owner = grouped(cell, cells)
+    sample, place, owner, filled = grouped(cell, cells)
     assert np.array_equal(sample.reshape(-1)[place], np.arange(len(cell)))
     assert len(np.unique(place)) == len(cell)
     assert (cell[sample] == owner).all()
+    assert np.array_equal(np.flatnonzero(filled), np.sort(place))
     assert len(owner) == np.ceil(np.bincount(cell) / GROUP).sum()
 
 
