@@ -227,7 +227,8 @@ class Cache:
     def _measured_trust(self, piece, own, above):
         noise = piece.noise[0] / np.maximum(piece.noise[1], TINY)
         total = departure(own, piece.tiers[0].share, above, noise, piece.nearest)
-        trust = worth(noise, total, self.trust[0]).astype(np.float32)
+        trust = np.full(piece.tiers[1].shares.entries, self.trust[0], np.float32)
+        trust[piece.near] = worth(noise, total, self.trust[0])
         return piece.tiers[1].shares.mixtures(trust[None])[0]
 
     def age(self, factor: float = 0.9) -> None:

@@ -33,10 +33,12 @@ class Tier:
 
 @dataclass
 class Piece:
-    """Some of the samples. tiers: their entries, finest first. nearest: (m,) of each of the finest the next coarser entry
-    that is nearest; noise: (2, k) sums at those, that tell how samples scatter; None where trust is not measured."""
+    """Some of the samples. tiers: their entries, finest first. near: (k,) of the next coarser entries those that are nearest
+    to some of the finest, and nearest: (m,) which of the k is so to each; noise: (2, k) sums at those, that tell how samples
+    scatter; all None where trust is not measured."""
 
     tiers: list[Tier]
+    near: np.ndarray | None
     nearest: np.ndarray | None
     noise: np.ndarray | None
 
@@ -91,8 +93,12 @@ def find_piece(
         shares, points = share_points(points, step)
         tiers.append(tier(shares, points, shares.sums(tiers[-1].share[None])[0]))
     if not measured:
-        return Piece(tiers, None, None)
-    return Piece(tiers, tiers[1].shares.nearest_entries(), np.zeros((2, tiers[1].shares.entries)))
+        return Piece(tiers, None, None, None)
+    nearest, entries = tiers[1].shares.nearest_entries(), tiers[1].shares.entries
+    near = np.flatnonzero(np.bincount(nearest, minlength=entries))
+    row = np.empty(entries, np.int64)
+    row[near] = np.arange(len(near))
+    return Piece(tiers, near, row.take(nearest), np.zeros((2, len(near))))
 
 
 def make_missing(table: Table, places: Places) -> None:
