@@ -16,7 +16,7 @@ import numpy as np
 from ..allocator import keep_freed
 from ..rays import chunks
 from ..threads import in_threads
-from .keys import surface_keys
+from .keys import PARTS, surface_tags
 from .levels import levels_of
 from .places import Places, find_piece, make_missing
 from .table import MOST, Table
@@ -139,9 +139,9 @@ class Cache:
             own = np.ascontiguousarray(position[piece].T)
             facing = None if normal is None else np.ascontiguousarray(normal[piece].T)
             ids = None if object_id is None else object_id[piece]
-            surface = surface_keys(facing, ids, self.seed, own.shape[1])
+            tags = surface_tags(facing, ids, self.seed, own.shape[1])
             level = levels_of(footprint[piece] * np.float32(self.fine))
-            return find_piece(self.table, own, level, surface, self.octaves, self.measured)
+            return find_piece(self.table, own, level, tags, self.octaves, self.measured)
 
         places = Places(count, in_threads(find, _pieces(count), self.threads), self.table.moves)
         if create:
@@ -165,7 +165,7 @@ class Cache:
             rows, piece = item
             sums, total = [], np.ascontiguousarray(values[rows].T)
             for tier in piece.tiers:
-                total = np.stack([tier.shares.sums(row) for row in total], dtype=np.float32)
+                total = tier.shares.sums(total)
                 sums.append(total)
             if self.measured:
                 finest = piece.tiers[0]
@@ -176,29 +176,39 @@ class Cache:
 
         self.table.tick()
         items = zip(_pieces(places.count), places.pieces, strict=True)
-        # pieces share entries, so these are kept one after another
-        for piece, sums in zip(places.pieces, in_threads(gather, items, self.threads), strict=True):
-            for tier, part in zip(piece.tiers, sums, strict=True):
-                self.table.merge(tier.slot, part, tier.share, self.most)
+        gathered = in_threads(gather, items, self.threads)
+
+        def keep(part):
+            # pieces and tiers share entries, so these are kept one after another; parts do not
+            for piece, sums in zip(places.pieces, gathered, strict=True):
+                for tier, own in zip(piece.tiers, sums, strict=True):
+                    rows = tier.shares.part(part)
+                    self.table.merge(tier.slot[rows], own[:, rows], tier.share[rows], self.most)
+
+        in_threads(keep, range(PARTS), self.threads)
 
     def read(self, places: Places, otherwise: np.ndarray | float = 0.0) -> np.ndarray:
         """(n, channels) float32 of the places; where nothing is known `otherwise`, a number or (n, channels)."""
-        total = self._read(places)
-        result = (total[:-1] / np.maximum(total[-1], TINY)).T
-        known = total[-1] > 0
-        if known.all():
-            return np.ascontiguousarray(result)
-        otherwise = np.broadcast_to(np.asarray(otherwise, np.float32), (places.count, self.channels))
-        return np.where(known[:, None], result, otherwise)
+        result = np.empty((places.count, self.channels), np.float32)
+        otherwise = np.broadcast_to(np.asarray(otherwise, np.float32), result.shape)
+
+        def show(rows, total):
+            np.divide(total[:-1].T, np.maximum(total[-1], TINY)[:, None], out=result[rows])
+            nothing = np.flatnonzero(total[-1] <= 0)
+            result[rows][nothing] = otherwise[rows][nothing]
+
+        self._read(places, show)
+        return result
 
     def known(self, places: Places) -> np.ndarray:
         """(n,) float32 count of samples that a read at each place rests on, coarse means as what they are worth."""
-        return self._read(places)[-1]
+        return np.concatenate(self._read(places, lambda _rows, total: total[-1]))
 
-    def _read(self, places):
-        """(channels + 1, n) float32 sums and counts of what is known of each place."""
+    def _read(self, places, show):
+        """Of each piece what `show` makes of its slice and (channels + 1, n) float32 sums and counts of what is known."""
         places.find_again(self.table)
-        return np.concatenate(in_threads(self._mix, places.pieces, self.threads), axis=1)
+        items = zip(_pieces(places.count), places.pieces, strict=True)
+        return in_threads(lambda item: show(item[0], self._mix(item[1])), items, self.threads)
 
     def _mix(self, piece):
         tiers = piece.tiers
@@ -217,7 +227,8 @@ class Cache:
     def _measured_trust(self, piece, own, above):
         noise = piece.noise[0] / np.maximum(piece.noise[1], TINY)
         total = departure(own, piece.tiers[0].share, above, noise, piece.nearest)
-        trust = worth(noise, total, self.trust[0]).astype(np.float32)
+        trust = np.full(piece.tiers[1].shares.entries, self.trust[0], np.float32)
+        trust[piece.near] = worth(noise, total, self.trust[0])
         return piece.tiers[1].shares.mixtures(trust[None])[0]
 
     def age(self, factor: float = 0.9) -> None:

@@ -20,6 +20,9 @@ CORNERS = np.array([[k >> 2 & 1, k >> 1 & 1, k & 1] for k in range(8)])
 
 CORNER_STEPS = (CORNERS.astype(np.uint64) * STEPS).sum(axis=1, dtype=np.uint64)
 
+PARTS = 4
+"""Into which entries are divided, a power of two of at most 4."""
+
 FINENESS = np.float32(3.5)
 """Components of a normal times this are rounded: its bins are some 16° wide. On curved surfaces wider ones show, and
 blur what narrow ones keep (SSIM of a moving statue by 26, 98 and these bins: 0.943, 0.949, 0.953)."""
@@ -41,14 +44,28 @@ def mix(keys: np.ndarray) -> np.ndarray:
     return keys
 
 
-def surface_keys(normal: np.ndarray | None, object_id: np.ndarray | None, seed: int, count: int) -> np.ndarray:
+def parts_of(keys: np.ndarray) -> np.ndarray:
+    """(n,) uint8 below PARTS of (n,) uint64 keys: entries of different parts never lie in one slot of a table, so that
+    threads can write them at once.
+
+    The bits are some by which a table tells keys apart: those that it takes for one are in one part.
+    """
+    return (mix(keys) >> np.uint64(30)).astype(np.uint8) & np.uint8(PARTS - 1)
+
+
+def surface_tags(normal: np.ndarray | None, object_id: np.ndarray | None, seed: int, count: int) -> np.ndarray:
     """(count,) uint64: what sets surfaces apart that share a cell. normal: (3, n) unit or None; object_id: (n,) ints."""
     tags = np.full(count, np.uint64(seed * 0x9E3779B9 & 0xFFFFFFFFFFFFFFFF))
     if normal is not None:
         tags += normal_bins(normal) << np.uint64(1)
     if object_id is not None:
         tags += object_id.astype(np.uint64) << np.uint64(11)
-    return mix(tags)
+    return tags
+
+
+def surface_keys(normal: np.ndarray | None, object_id: np.ndarray | None, seed: int, count: int) -> np.ndarray:
+    """The same, scattered: (count,) uint64."""
+    return mix(surface_tags(normal, object_id, seed, count))
 
 
 def lattice_keys(cell: np.ndarray, level: np.ndarray, surface: np.ndarray) -> np.ndarray:

@@ -21,7 +21,8 @@ class Tier:
     """m different entries on one lattice.
 
     shares: of the samples, or of the entries of the next finer tier, among these. points: (m,) where they are;
-    slot: (m,) int32, where the table has them. share: (m,) float32, what the samples weigh in sum.
+    slot: (m,) int64, where the table has them (numpy copies shorter numbers before it takes by them). share: (m,) float32,
+    what the samples weigh in sum.
     """
 
     shares: Shares
@@ -32,10 +33,12 @@ class Tier:
 
 @dataclass
 class Piece:
-    """Some of the samples. tiers: their entries, finest first. nearest: (m,) of each of the finest the next coarser entry
-    that is nearest; noise: (2, k) sums at those, that tell how samples scatter; None where trust is not measured."""
+    """Some of the samples. tiers: their entries, finest first. near: (k,) of the next coarser entries those that are nearest
+    to some of the finest, and nearest: (m,) which of the k is so to each; noise: (2, k) sums at those, that tell how samples
+    scatter; all None where trust is not measured."""
 
     tiers: list[Tier]
+    near: np.ndarray | None
     nearest: np.ndarray | None
     noise: np.ndarray | None
 
@@ -62,7 +65,7 @@ class Places:
         if self.moves == table.moves:
             return
         for tier in self.tiers:
-            slot = table.find(tier.points.key)
+            slot = table.find(tier.points.key).astype(np.int64)
             self.whole &= not ((slot == table.nowhere) & (tier.slot != table.nowhere)).any()
             tier.slot = slot
         self.moves = table.moves
@@ -72,22 +75,30 @@ def find_piece(
     table: Table,
     position: np.ndarray,
     level: np.ndarray,
-    surface: np.ndarray,
+    tags: np.ndarray,
     octaves: Sequence[int],
     measured: bool,
 ) -> Piece:
-    """Entries of samples at positions (3, n), m, at levels (n,) int32, on surfaces (n,) uint64, as far as there are any.
+    """Entries of samples at positions (3, n), m, at levels (n,) int32, on surfaces of (n,) uint64 tags, as far as there are any.
 
     octaves: from each lattice to the next coarser one.
     """
-    shares, points = share_samples(position, level, surface)
-    tiers = [Tier(shares, points, table.find(points.key), shares.sums().astype(np.float32))]
+
+    def tier(shares, points, share):
+        return Tier(shares, points, table.find(points.key).astype(np.int64), share)
+
+    shares, points = share_samples(position, level, tags)
+    tiers = [tier(shares, points, shares.weights())]
     for step in octaves:
         shares, points = share_points(points, step)
-        tiers.append(Tier(shares, points, table.find(points.key), shares.sums(tiers[-1].share).astype(np.float32)))
+        tiers.append(tier(shares, points, shares.sums(tiers[-1].share[None])[0]))
     if not measured:
-        return Piece(tiers, None, None)
-    return Piece(tiers, tiers[1].shares.nearest_entries(), np.zeros((2, tiers[1].shares.entries)))
+        return Piece(tiers, None, None, None)
+    nearest, entries = tiers[1].shares.nearest_entries(), tiers[1].shares.entries
+    near = np.flatnonzero(np.bincount(nearest, minlength=entries))
+    row = np.empty(entries, np.int64)
+    row[near] = np.arange(len(near))
+    return Piece(tiers, near, row.take(nearest), np.zeros((2, len(near))))
 
 
 def make_missing(table: Table, places: Places) -> None:

@@ -162,19 +162,25 @@ class Table:
         """Add samples to the entries at different slots (n,): their sums (channels, n), and (n,) of their weights. No entry
         counts more than `most`."""
         rows = self._rows.take(slots, axis=0, mode="clip")
-        word, means = rows[:, 0], rows[:, 1:].view(np.float32).T
-        before = _count_of(word)
-        count = before + share
+        means = rows[:, 1:].view(np.float32).T
+        word = rows[:, 0].copy()
+        # counts in units of STEP, which is a power of two: as exact as in samples, and once less over all
+        before = (word >> np.uint32(14)).astype(np.float32)
+        count = share * np.float32(1 / STEP)
+        count += before
         weight = 1 / np.maximum(count, TINY)
         before *= weight
+        weight *= np.float32(1 / STEP)
         for mean, own in zip(means, sums, strict=True):
             mean *= before
             mean += own * weight
-        count *= np.float32(1 / STEP)
         np.minimum(np.rint(count, out=count), np.float32(min(most, MOST) / STEP), out=count)
+        units = count.astype(np.uint32)
+        np.maximum(units, share > 0, out=units)
+        units <<= np.uint32(14)
+        units |= np.uint32(self._stamp() << 6)
         word &= np.uint32(SHIFT - 1)
-        word |= np.maximum(count.astype(np.uint32), share > 0) << np.uint32(14)
-        word |= np.uint32(self._stamp() << 6)
+        np.bitwise_or(units, word, out=rows[:, 0])
         self._entries[slots] = _whole(rows)
         self.word[self.nowhere] = 0
 

@@ -98,7 +98,7 @@ class _View:
 
     @property
     def bytes(self) -> int:
-        return 420 * len(self.buffer.rows) + 84 * len(self.buffer.depth)
+        return 460 * len(self.buffer.rows) + 84 * len(self.buffer.depth)
 
 
 class Preview:
