@@ -89,9 +89,9 @@ def truths(name: str, scene: Scene) -> list[Truth]:
 
 def judging_lamps(scene: Scene, count: int = LAMPS) -> list[Light]:
     """The lamps, the same whatever bake they judge."""
-    texels = make_texels(scene, RESOLUTION)
-    patches = make_patches(scene, 1000, SEED)
-    bvh, tracer = Bvh(patches.corners), Tracer(scene)
+    texels, tracer = make_texels(scene, RESOLUTION), Tracer(scene)
+    patches = make_patches(scene, 1000, SEED, tracer)
+    bvh = Bvh(patches.corners)
     entries, _, _ = find_entries(scene, patches, bvh, texels.samples, tracer.offset, SEED)
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset)
     return held_out_lamps(scene, entries.places, gatherer, count, SEED)
