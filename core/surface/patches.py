@@ -25,7 +25,7 @@ ROOM = 100
 CROWDED = 1.5
 """Patches over those asked for above which objects share some."""
 
-WALLED = 0.05
+WALLED = 0.03
 """Part by which walls may change the number of patches before another size is sought."""
 
 NORMAL_BINS = 27
@@ -130,7 +130,7 @@ def make_patches(scene: Scene, count: int, seed: int = 0, tracer: Tracer | None 
         # among thousands of small things each cannot have patches of its own
         if found <= CROWDED * count:
             break
-    return summarise(scene, rows, pieces, patch, found)
+    return summarise(scene, rows, pieces, patch, int(patch.max(initial=-1)) + 1)
 
 
 def _fit(corners, mesh, area, count, tracer, group):
@@ -161,7 +161,7 @@ def fit_size(
     """Bisect triangles (t, 3, 3) to the size, m, at which group(pieces, size) finds about `count` groups in them.
 
     size: the first that is tried. Returns the size, pieces as from `bisect`, which `group` may have cut further, (p,) the
-    group of each, and how many there are.
+    group of each, and how many there are that count.
     """
     low, high, best = 0.0, np.inf, None
     for _ in range(tries):

@@ -73,8 +73,11 @@ def cut_at_walls(pieces: tuple, size: float, tracer: Tracer) -> tuple:
 def part_at_walls(
     corners: np.ndarray, mesh: np.ndarray, patch: np.ndarray, count: int, size: float, tracer: Tracer
 ) -> tuple[np.ndarray, int]:
-    """Patch (p,) int32 of each piece (p, 3, 3), and how many there are: those given, `count`, in parts of which none sees
-    the others. Where no wall stands they keep their numbers. mesh: (p,) the connected part of a mesh that each is of."""
+    """Patch (p,) int32 of each piece (p, 3, 3): those given, `count`, in parts of which none sees the others; and how many
+    are more than the part of a floor that lies inside of a wall. Where no wall stands they keep their numbers.
+
+    mesh: (p,) the connected part of a mesh that each piece is of.
+    """
     centre, normal, area = _middles(corners)
     total = np.bincount(patch, area, count)
     number = np.bincount(patch, minlength=count)
@@ -98,7 +101,7 @@ def part_at_walls(
     rank[order] = np.arange(len(patch)) - np.repeat(np.cumsum(number) - number, number)
     leader = order[np.cumsum(number) - number]
     some = np.flatnonzero(flat[patch] & (rank > 0) & (rank % np.maximum(-(-number // LOOKS), 1)[patch] == 0))
-    key = patch.astype(np.int64)
+    key, inside = patch.astype(np.int64), np.zeros(len(patch), bool)
     for side in (1, -1):
         sight = _Sight(tracer, size, centre.astype(np.float32), (side * normal).astype(np.float32))
         crossed = np.zeros(count, bool)
@@ -108,15 +111,22 @@ def part_at_walls(
             part = np.zeros(len(patch), np.int64)
             part[rows] = _parts(sight, patch[rows], rows, area[rows])
             key = key * (LEADERS + 1) + part
+            if side == 1:
+                inside[rows] = sight.inside(rows)
     names, part = np.unique(key, return_inverse=True)
-    return (patch, count) if len(names) == count else (part.reshape(-1).astype(np.int32), len(names))
+    if len(names) == count:
+        return patch, count
+    part = part.reshape(-1).astype(np.int32)
+    seen = np.zeros(len(names), bool)
+    seen[part[~inside]] = True
+    return part, int(seen.sum())
 
 
 class _Sight:
     """Which places see one another above a surface. points, normals: (n, 3) float32; size: of a patch, m."""
 
     def __init__(self, tracer: Tracer, size: float, points: np.ndarray, normals: np.ndarray):
-        self.bvh, self.numbers = tracer.solid
+        self.scene, (self.bvh, self.numbers) = tracer.scene, tracer.solid
         self.points, self.normals = points, normals
         # lower than rays can start there is nothing to see
         self.heights = np.maximum(np.float32(size) * np.array(HEIGHTS, np.float32), np.float32(2 * tracer.offset))
@@ -159,6 +169,14 @@ class _Sight:
         origins, vectors = self._segment(here, there, self.heights[top][:, None])
         found = self._hits(origins, vectors, np.ones(len(origins), np.float32)).triangle
         return np.where(found < 0, -1, np.append(self.numbers, -1)[found])
+
+    def inside(self, rows: np.ndarray) -> np.ndarray:
+        """(m,) bool: whether the back of something is what lies above places."""
+        normals = self.normals[rows]
+        far = np.full(len(rows), 1e30, np.float32)
+        found = self._hits(self.points[rows] + normals * self.lift, normals, far).triangle
+        cross = self.scene.triangle_cross(np.append(self.numbers, 0)[found])
+        return (found >= 0) & (np.einsum("mk,mk->m", cross, normals) > 0)
 
     def _segment(self, here, there, height):
         origins = self.points[here] + self.normals[here] * height
