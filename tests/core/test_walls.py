@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 from lightpanes.core.bake import bake
+from lightpanes.core.bake.steps import prepare
+from lightpanes.core.panes.entry_light import EntryLight
 from lightpanes.core.scene import Material
 from lightpanes.core.surface import make_patches, make_texels, patches, walls
 
@@ -68,6 +70,18 @@ def test_no_light_below_a_wall_on_one_floor(entries, thick, angle):
     assert np.abs(found[across > AWAY + thick]).mean() < 0.005 * lit
     # sheets have two sides
     assert 0.7 * entries < baked.report["entries"] < 1.4 * entries
+
+
+@pytest.mark.parametrize("away", [0.05, 0.2])
+def test_all_power_arrives_beside_a_wall(away):
+    """Σ E A = Φ: none of it is lost below the wall."""
+    wall = box((2, 0, 0), (2.1, 3, 2.5))
+    made = scene(
+        (*box((0, 0, 0), (4, 3, 2.5), True), 0), (*wall, 0), materials=(WHITISH,), lights=[lamp((1, 1.5, 1.2))]
+    )
+    ready = prepare(made, quick(entries=400))
+    arrived = EntryLight(ready.surface, ready.tracer).unit(lamp((2 - away, 1.3, 0.01), 1.0)) @ ready.entries.area
+    assert arrived == pytest.approx(1, rel=0.02)
 
 
 WALLS = {
