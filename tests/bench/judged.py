@@ -18,6 +18,7 @@ from lightpanes.addon import lamps
 from lightpanes.addon.atlas import make_atlas
 from lightpanes.addon.extract import extract
 from lightpanes.core import metrics
+from lightpanes.core.caustics import casters
 from lightpanes.core.panes import Relighter
 from lightpanes.core.panes.held_out import held_out_lamps
 from lightpanes.core.rays import Bvh, Tracer
@@ -71,6 +72,10 @@ def truths(name: str, scene: Scene) -> list[Truth]:
     for item in own.values():
         item.hide_render = True
         item.animation_data_clear()
+    if casters(scene) is not None:
+        # what glass focuses is no part of panes, and Cycles' paths find it from lamps with a size only
+        for item in own.values():
+            _shrink(item.data)
     data = bpy.data.lights.new("Judge", "POINT")
     data.energy, data.shadow_soft_size = 100.0, 0.0
     judge = bpy.data.objects.new("Judge", data)
@@ -85,6 +90,14 @@ def truths(name: str, scene: Scene) -> list[Truth]:
         found.append(Truth(lights, cycles.reference_indirect(bpy.context, resolution(name), SPP, script=script)))
         item.hide_render = True
     return found
+
+
+def _shrink(data: bpy.types.Light) -> None:
+    """Make a lamp a point, a sun one without width; area lamps stay."""
+    if data.type == "SUN":
+        data.angle = 0.0
+    elif data.type != "AREA":
+        data.shadow_soft_size = 0.0
 
 
 def judging_lamps(scene: Scene, count: int = LAMPS) -> list[Light]:
