@@ -147,7 +147,8 @@ def _fit(corners, mesh, area, count, tracer, group):
     )
     made = walled(plain[0], open_size)
     if made[2] != plain[2] and abs(made[2] / count - 1) > WALLED:
-        _, *made = fit_size(corners, open_size * np.sqrt(made[2] / count), count, walled, 1)
+        _, *other = fit_size(corners, open_size * np.sqrt(made[2] / count), count, walled, 2)
+        made = min(made, other, key=lambda found: abs(np.log(found[2] / count)))
     return made
 
 
