@@ -261,8 +261,9 @@ def find_lamps(scene: Scene, resolution: int, seed: int = 0) -> list[TestLamp]:
     Found as training lamps are, but by other random numbers. Raises SceneError where there is no room.
     """
     texels = make_texels(scene, resolution)
-    patches = make_patches(scene, 1000, seed)
-    bvh, tracer = Bvh(patches.corners), Tracer(scene)
+    tracer = Tracer(scene)
+    patches = make_patches(scene, 1000, seed, tracer)
+    bvh = Bvh(patches.corners)
     entries, _, _ = find_entries(scene, patches, bvh, texels.samples, tracer.offset, seed)
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset)
     points = entries.places.take(np.arange(len(entries)) * PLACES)

@@ -136,8 +136,9 @@ class _Base:
     def of(cls, scene, settings, part=None):
         seed = settings.seed
         texels = make_texels(scene, settings.resolution)
-        patches = make_patches(scene, plan(scene, settings).entries, seed)
-        bvh, tracer = Bvh(patches.corners), Tracer(scene)
+        tracer = Tracer(scene)
+        patches = make_patches(scene, plan(scene, settings).entries, seed, tracer)
+        bvh = Bvh(patches.corners)
         entries, buried, _ = find_entries(scene, patches, bvh, texels.samples, tracer.offset, seed)
         use = np.ones(len(texels), bool) if buried.all() else ~buried
         if part is not None:

@@ -83,7 +83,7 @@ def find_ground(surfaces: Surfaces, settings: Settings, budget: Budget, clock: C
     clock.start("Entries")
     # without live lamps pieces of entries tell them apart
     count = balanced(budget.entries, settings.memory)
-    patches = make_patches(scene, count, seed)
+    patches = make_patches(scene, count, seed, tracer)
     finer = None
     if count < budget.entries and needs_panes(scene):
         finer, patches, owner = cut_patches(scene, patches, budget.entries, seed)

@@ -32,9 +32,10 @@ def cut_patches(scene: Scene, patches: Patches, count: int, seed: int = 0) -> tu
         _, cell = np.unique((cell[:, 0] * span[1] + cell[:, 1]) * span[2] + cell[:, 2], return_inverse=True)
         key = patches.patch[parent].astype(np.int64) * (int(cell.max()) + 1) + cell.reshape(-1)
         names, element = np.unique(key, return_inverse=True)
-        return element.reshape(-1).astype(np.int32), len(names)
+        return pieces, element.reshape(-1).astype(np.int32), len(names)
 
-    (corners, piece, weights), element, found = fit_size(patches.corners, float(patches.area.sum()), count, group)
+    size = float(np.sqrt(patches.area.sum() / max(count, 1)))
+    _, (corners, piece, weights), element, found = fit_size(patches.corners, size, count, group)
     weights = np.einsum("pkc,pcd->pkd", weights, patches.weights[piece])
     elements = summarise(scene, patches.parent, (corners, piece, weights), element, found)
     owner = np.empty(found, np.int32)

@@ -8,19 +8,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from ..rays import Tracer
 from ..sampling import hash_uniform
 from ..scene import Scene
 from .components import components
 from .samples import SurfaceSamples, inside_triangle, sample_triangles, surface_colour
+from .walls import cut_at_walls, part_at_walls
 
 ROOM = 100
 """Patches, about, of a connected part of a mesh that keeps them to itself."""
 
 CROWDED = 1.5
 """Patches over those asked for above which objects share some."""
+
+WALLED = 0.03
+"""Part by which walls may change the number of patches before another size is sought."""
 
 NORMAL_BINS = 27
 """A normal's direction, each coordinate rounded to −1, 0 or 1."""
@@ -101,42 +107,68 @@ def bisect(corners: np.ndarray, longest: float, limit: int = 2_000_000) -> tuple
     return tuple(np.concatenate([d[k] for d in done]) for k in range(3))
 
 
-def make_patches(scene: Scene, count: int, seed: int = 0) -> Patches:
+def make_patches(scene: Scene, count: int, seed: int = 0, tracer: Tracer | None = None) -> Patches:
     """About `count` patches over all surfaces that diffuse rays can see.
 
-    The size is one for the whole scene, solved for the wanted count.
+    The size is one for the whole scene, solved for the wanted count. They end at walls that stand on a surface. tracer: of
+    shadow rays, None for one that is made here.
     """
+    tracer = tracer or Tracer(scene)
     reflects = np.array([o.reflects for o in scene.objects], bool)[scene.triangle_object]
     rows = np.flatnonzero(reflects).astype(np.int32)
     corners = scene.positions[scene.triangles[rows]]
     # float64: areas of millimetre scenes
     area = 0.5 * np.linalg.norm(scene.triangle_cross(rows).astype(np.float64), axis=1).sum()
-    island = _islands(scene, rows, float(np.sqrt(area / max(count, 1))))
+    triangles = scene.triangles[rows]
+    mesh = components(len(scene.positions), triangles[:, :2].ravel(), triangles[:, 1:].ravel())[triangles[:, 0]]
+    island = _islands(scene, rows, mesh, float(np.sqrt(area / max(count, 1))))
     owner = scene.triangle_object[rows]
     for objects in (owner, np.zeros_like(owner)):
-        pieces, patch, found = fit_size(
-            corners, area, count, lambda pieces, size, own=objects: _group(scene, rows, pieces, size, seed, island, own)
+        pieces, patch, found = _fit(
+            corners, mesh, area, count, tracer, partial(_group, scene, rows, seed, island, objects)
         )
         # among thousands of small things each cannot have patches of its own
         if found <= CROWDED * count:
             break
-    return summarise(scene, rows, pieces, patch, found)
+    return summarise(scene, rows, pieces, patch, int(patch.max(initial=-1)) + 1)
+
+
+def _fit(corners, mesh, area, count, tracer, group):
+    """As `fit_size`, of patches that end at walls."""
+
+    def walled(pieces, size):
+        pieces = cut_at_walls(pieces, size, tracer)
+        patch, found = group(pieces, size)
+        return pieces, *part_at_walls(pieces[0], mesh[pieces[1]], patch, found, size, tracer)
+
+    # looking for walls takes longer than all the rest
+    open_size, *plain = fit_size(
+        corners, float(np.sqrt(area / max(count, 1))), count, lambda *given: (given[0], *group(*given))
+    )
+    made = walled(plain[0], open_size)
+    if made[2] != plain[2] and abs(made[2] / count - 1) > WALLED:
+        _, *other = fit_size(corners, open_size * np.sqrt(made[2] / count), count, walled, 2)
+        made = min(made, other, key=lambda found: abs(np.log(found[2] / count)))
+    return made
 
 
 def fit_size(
-    corners: np.ndarray, area: float, count: int, group: Callable[[tuple, float], tuple[np.ndarray, int]]
-) -> tuple[tuple, np.ndarray, int]:
+    corners: np.ndarray,
+    size: float,
+    count: int,
+    group: Callable[[tuple, float], tuple[tuple, np.ndarray, int]],
+    tries: int = 6,
+) -> tuple[float, tuple, np.ndarray, int]:
     """Bisect triangles (t, 3, 3) to the size, m, at which group(pieces, size) finds about `count` groups in them.
 
-    Returns the pieces as from `bisect`, (p,) the group of each, and how many there are. area: m² of all triangles.
+    size: the first that is tried. Returns the size, pieces as from `bisect`, which `group` may have cut further, (p,) the
+    group of each, and how many there are that count.
     """
-    size = float(np.sqrt(area / max(count, 1)))
     low, high, best = 0.0, np.inf, None
-    for _ in range(6):
-        pieces = bisect(corners, size)
-        number, found = group(pieces, size)
-        if best is None or abs(np.log(found / count)) < abs(np.log(best[2] / count)):
-            best = (pieces, number, found)
+    for _ in range(tries):
+        pieces, number, found = group(bisect(corners, size), size)
+        if best is None or abs(np.log(found / count)) < abs(np.log(best[3] / count)):
+            best = (size, pieces, number, found)
         if abs(found / count - 1) < 0.03:
             break
         low, high = (size, high) if found > count else (low, size)
@@ -145,7 +177,7 @@ def fit_size(
     return best
 
 
-def _group(scene, rows, pieces, size, seed, island, owner):
+def _group(scene, rows, seed, island, owner, pieces, size):
     """Patch of each piece, and how many there are; owner: (len(rows),) of each triangle, whose patches are its own."""
     corners, parent, _ = pieces
     centre = corners.mean(axis=1)
@@ -167,12 +199,10 @@ def _group(scene, rows, pieces, size, seed, island, owner):
     return patch.reshape(-1).astype(np.int32), len(names)
 
 
-def _islands(scene, rows, size):
+def _islands(scene, rows, mesh, size):
     """(len(rows),) int64 number of the connected part of a mesh that each triangle belongs to, 0 for all small parts:
-    rooms of one mesh share no patch across a thin wall, the leaves of a tree do."""
-    triangles = scene.triangles[rows]
-    part = components(len(scene.positions), triangles[:, :2].ravel(), triangles[:, 1:].ravel())
-    _, island = np.unique(part[triangles[:, 0]], return_inverse=True)
+    rooms of one mesh share no patch across a thin wall, the leaves of a tree do. mesh: as numbered among all."""
+    _, island = np.unique(mesh, return_inverse=True)
     island = island.reshape(-1)
     area = np.bincount(island, 0.5 * np.linalg.norm(scene.triangle_cross(rows).astype(np.float64), axis=1))
     large = area > ROOM * size * size

@@ -18,6 +18,7 @@ from lightpanes.addon import lamps
 from lightpanes.addon.atlas import make_atlas
 from lightpanes.addon.extract import extract
 from lightpanes.core import metrics
+from lightpanes.core.caustics import casters
 from lightpanes.core.panes import Relighter
 from lightpanes.core.panes.held_out import held_out_lamps
 from lightpanes.core.rays import Bvh, Tracer
@@ -71,6 +72,10 @@ def truths(name: str, scene: Scene) -> list[Truth]:
     for item in own.values():
         item.hide_render = True
         item.animation_data_clear()
+    if casters(scene) is not None:
+        # what glass focuses is no part of panes, and Cycles' paths find it from lamps with a size only
+        for item in own.values():
+            _shrink(item.data)
     data = bpy.data.lights.new("Judge", "POINT")
     data.energy, data.shadow_soft_size = 100.0, 0.0
     judge = bpy.data.objects.new("Judge", data)
@@ -87,11 +92,19 @@ def truths(name: str, scene: Scene) -> list[Truth]:
     return found
 
 
+def _shrink(data: bpy.types.Light) -> None:
+    """Make a lamp a point, a sun one without width; area lamps stay."""
+    if data.type == "SUN":
+        data.angle = 0.0
+    elif data.type != "AREA":
+        data.shadow_soft_size = 0.0
+
+
 def judging_lamps(scene: Scene, count: int = LAMPS) -> list[Light]:
     """The lamps, the same whatever bake they judge."""
-    texels = make_texels(scene, RESOLUTION)
-    patches = make_patches(scene, 1000, SEED)
-    bvh, tracer = Bvh(patches.corners), Tracer(scene)
+    texels, tracer = make_texels(scene, RESOLUTION), Tracer(scene)
+    patches = make_patches(scene, 1000, SEED, tracer)
+    bvh = Bvh(patches.corners)
     entries, _, _ = find_entries(scene, patches, bvh, texels.samples, tracer.offset, SEED)
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset)
     return held_out_lamps(scene, entries.places, gatherer, count, SEED)

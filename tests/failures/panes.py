@@ -96,12 +96,12 @@ def thin_wall() -> Found:
 @entry(
     "Panes",
     "a wall on a floor of one piece",
-    """Rooms of one mesh, parted by a wall that stands in it: entries of the floor and the ceiling reach below the wall and
-    shine on both sides of it. Light leaks through, more the larger entries are, and the bake's own error does not know of it.
-    Walls that are part of the mesh, or a lower Error, help.""",
+    """Rooms of one mesh, parted by a wall that stands in it: the floor goes on below. It is cut where the wall stands, and
+    entries end there, so nothing leaks. A kerb lower than half an entry parts none, and below a wall that leans over the floor
+    they reach on by a thirty-second of their size.""",
     "mean light in the dark room over that in the lit one, a closed wall 5 cm thick, 600 entries",
-    0.12,
-    "core/test_failures.py::test_no_light_through_a_thin_wall",
+    0.005,
+    "core/test_walls.py::test_no_light_below_a_wall_on_one_floor core/test_walls.py::test_patches_have_one_side",
 )
 def wall_on_floor() -> Found:
     inside = box((2, 0, 0), (2.05, 3, 2.5))
@@ -109,9 +109,10 @@ def wall_on_floor() -> Found:
     made = scene((*box((0, 0, 0), (4, 3, 2.5), True), 0), (*inside, 0), materials=(WHITISH,), lights=lights)
     leaks = {}
     for count in (300, 600, 2400):
-        baked = bake(made, quick(entries=count))
+        baked = bake(made, quick(entries=count, resolution=96))
         found, exits = relighter(made, baked).texels(lights[:1])[:, 0], places_of(made, baked)
-        dark, lit = exits.position[:, 0] > 2.06, exits.position[:, 0] < 1.99
+        # no texel that reaches below the wall
+        dark, lit = exits.position[:, 0] > 2.35, exits.position[:, 0] < 1.7
         leaks[count] = float(found[dark].mean() / found[lit].mean())
         if count == 600:
             shown = Places(
