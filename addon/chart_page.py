@@ -19,7 +19,7 @@ h1,h2,h3{line-height:1.2}h2{margin-top:2.5em;border-top:1px solid #e4e7eb;paddin
 .wide{overflow-x:auto}img{display:block;max-width:100%;height:auto}table{border-collapse:collapse;margin:1em 0;font-size:14px}
 td,th{padding:.25em .8em;border-bottom:1px solid #e4e7eb;text-align:right}td:first-child,th:first-child{text-align:left}
 summary{cursor:pointer}.note{color:#57606a;font-size:14px}
-@media(max-width:700px){.wide .both{max-width:none;width:860px}}"""
+@media(max-width:700px){.wide img{max-width:none;width:560px}.wide .both{width:860px}}"""
 """On a telephone the wide pictures, and tables, are pushed aside with a finger: smaller, nobody could read them."""
 
 BUSY = 3.0

@@ -29,7 +29,8 @@ is subtracted, which some 600 blocks know to a twentieth."""
 
 PERCENT = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
 SECONDS = {
-    1e-4: "0.1 ms", 1e-3: "1 ms", 1e-2: "10 ms", 0.1: "0.1 s", 1: "1 s", 10: "10 s", 60: "1 min", 600: "10 min", 3600: "1 h",
+    1e-4: "0.1 ms", 3e-4: "0.3 ms", 1e-3: "1 ms", 3e-3: "3 ms", 0.01: "10 ms", 0.03: "30 ms", 0.1: "0.1 s", 0.3: "0.3 s", 1: "1 s",
+    3: "3 s", 10: "10 s", 30: "30 s", 100: "100 s", 300: "5 min", 900: "15 min", 3600: "1 h",
 }  # fmt: skip
 
 
@@ -56,7 +57,8 @@ def draw(result: dict, path: Path) -> None:
     near = f", one of them {_length(kinds[0]['room_m'])} from a surface" if kinds else ""
     figure.text(0.065, 0.94, f"{result['scene']}: error against time", fontsize=18, fontweight="bold", color=INK)
     noises = "–".join(dict.fromkeys(f"{100 * n:.2g} %" for n in (min(given), max(given))))
-    spp = "–".join(f"{n:,}" for n in sorted(set(result["reference_spp"])))
+    samples = result["reference_spp"]
+    spp = "–".join(dict.fromkeys(f"{n:,}" for n in (min(samples), max(samples))))
     figure.text(
         0.065,
         0.895,
