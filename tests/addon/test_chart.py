@@ -230,6 +230,7 @@ def test_long_ways_are_left_out(room, least, monkeypatch):
         "Lightpanes: 300 entries left out, a bake takes over 0.001 s.",
         "The paper's panes, our gather: 400 entries left out, a bake takes over 0.001 s.",
         "The paper's method: 256 entries left out, a bake takes over 0.001 s.",
+        "Lightpanes: the default's budgets by hand left out, a bake takes over 0.001 s.",
     ]
 
 
@@ -241,7 +242,7 @@ def test_default_bake_beside_the_same_budgets_by_hand(room, least, monkeypatch):
     # the trials' budgets, and with them the same bake but for its trials
     assert given["entries"] == tried["entries"] and given["bytes"] == tried["bytes"]
     assert given["error"] == pytest.approx(tried["error"], rel=0.2)
-    assert given["bake_s"] < tried["bake_s"]
+    assert given["rays"] < tried["rays"]
 
 
 def run_chart(*words):
