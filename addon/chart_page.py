@@ -105,9 +105,11 @@ def _lead(reports) -> list[str]:
         numbers = [_percent(own["error"]), _time(own["bake_s"]), _time(own["relight_s"]), beside, f"{best:.2f} ×"]
         rows.append([report["scene"], f"{report['resolution']}²", *numbers])
     head = ["", "texels", "error", "bake", "each relight", "Cycles as exact", "behind the best"]
+    load = max(report.get("load", 0) for report in known)
+    busy = f" Other work ran beside, a load of up to {load}: a quiet machine takes less time." if load > BUSY else ""
     return [
         f"<p>With default settings (an error of 5 % is asked for) a bake errs by {errors} and takes {bakes}. From then on another "
-        f"lamp position takes {again}, where Cycles starts again. The lamps stand where no bake was trained on.</p>",
+        f"lamp position takes {again}, where Cycles starts again. The lamps stand where no bake was trained on.{busy}</p>",
         *_table(head, rows),
         '<p class="note">Cycles as exact: the time of its least bake, plain or denoised, that errs no more than ours does. Behind the best: how much '
         "faster as exact, or more exact as fast, the best of all other bakes here is that can be relit: other budgets, "
@@ -175,9 +177,9 @@ def _methods(report) -> list[str]:
     for name, line in found.items():
         for point in line:
             budget = f"{point['spp']} spp" if "spp" in point else f"{point['entries']} entries"
-            numbers = [f"{100 * point['error']:.2f} %", f"{point['bake_s']:.3g}", f"{1000 * point['relight_s']:.3g}"]
+            numbers = [_percent(point["error"]), _time(point["bake_s"]), _time(point["relight_s"])]
             rows.append([name, budget, *numbers])
-    return _table(["", "budget", "error", "bake, s", "relight, ms"], rows)
+    return _table(["", "budget", "error", "bake", "relight"], rows)
 
 
 def _table(head, rows) -> list[str]:

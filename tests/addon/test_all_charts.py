@@ -77,6 +77,7 @@ def test_head_of_the_page():
     assert cells.format("one", "9 s", "1.50") in head
     assert cells.format("none", "more than 0.2 s", "1.00") in head
     assert page.count("a load of 7.5") == 1 and head.count("a machine") == 1
+    assert "a load of up to 7.5" in head and "load" not in chart_page.page([report()], [[]]).split("<script")[0]
 
 
 def test_head_without_a_default_bake():
