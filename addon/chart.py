@@ -7,8 +7,8 @@ one at a time, so that no steady light hides their error. The open file is chang
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -21,8 +21,9 @@ from ..core.scene import Scene, SceneError
 from ..core.surface import make_patches, make_texels
 from ..core.transfer import find_entries, make_gatherer
 from ..core.transfer.entries import PLACES
-from . import atlas, baking, caustics, denoised, lamps, methods, preview_study, reference, relight, store
+from . import atlas, baking, caustics, denoised, lamps, methods, preview_study, reference, relight, rungs, store
 from .extract import extract
+from .rungs import Bakes, Steps, Truth, point
 from .studies import STUDIES, Subject
 from .trees import surface_output
 
@@ -41,46 +42,26 @@ NAMES = (*WAYS, *STUDIES, "preview")
 RESOLUTION = 256
 """Texels a side, as in a bake."""
 
-CYCLES_SPP = (1, 4, 16, 48, 96)
+CYCLES_SPP = (1, 8, 40, 160)
 REFERENCE_SPP = 64
 """Samples a texel of each half that tell how many more a reference needs: a lamp close to a surface makes small bright
 spots, which paths find rarely."""
 
-REFERENCE_NOISE = 0.01
+REFERENCE_NOISE = 0.025
 """Relative RMSE on blocks that a reference's own noise may make; it is subtracted, all but about a quarter of it."""
 
-LADDER = (
-    {"entries": 256, "entry_rays": 128, "exit_rays": 32, "regions": 16, "lamps": 200},
-    {"entries": 600, "entry_rays": 256, "exit_rays": 64, "regions": 32, "lamps": 400},
-    {"error_target": 0.2},
-    {"error_target": 0.1},
-    {"error_target": 0.05},
-    {"error_target": 0.025},
-)
-"""Settings of the gathering ways, small to large: two below what the planner gives, then the planner's own."""
-
-WALKS = (256, 512, 1024, 2048, 4096)
-"""Entries of the virtual lights."""
-
-PATIENCE = 40.0
-"""s that one bake may be expected to take; a way's larger budgets are left out, and the chart says so."""
+REFERENCE_TIME = 20.0
+"""s that a reference may take, about, both halves; one of more noise has to do then, and the chart says how much."""
 
 FAR, NEAR = 0.08, 0.025
 """Distances of the test lamps from surfaces, in parts of the scene's extent: far at least, near about."""
 
-PATHS = 1_200_000
+PATHS = 800_000
 """Of Cycles in a second on two cores, about."""
 
-ROUNDS = 3
+ROUNDS = 2
 """Times that a curve's bakes are made, all in turn each time. The best time of each counts: whatever else the machine
 does can only add to it."""
-
-LONG = 10.0
-"""s from which a bake of a way is made again only where a larger budget took less, which shows that it was disturbed."""
-
-TURNS = 12
-"""Times that each lamp position is relit after a bake, where the best counts too. No two in a row are the same, so
-nothing is reused."""
 
 POWER = 100.0
 """W of the test lamps."""
@@ -106,7 +87,8 @@ def measure(
     """The chart's figures, JSON-able. Takes the scene's bake, lamps, sky and emission away: don't save it.
 
     names: of NAMES, what to measure. indirect: makes the references, or has kept them. "studies": by name what studies.py says of theirs. "lamps": kind, place and room of each. "methods": by name a list of points with "error" (mean over the lamps),
-    "errors", "bake_s", "relight_s", "entries", "rays", "bytes" (or "spp"). "notes": sentences on what was left out.
+    "errors", "bake_s", "relight_s", "entries", "rays", "bytes" (or "spp"). "default": the bake with default settings, as one
+    of those, and "by_hand", one with the budgets that its trials led to. "notes": sentences on what was left out.
     Raises SceneError for scenes that cannot be baked.
     """
     steps = Steps(progress)
@@ -142,19 +124,17 @@ def measure(
             found = _cycles(context, lamp, tests, truths, resolution, steps, wanted, notes)
         shining = [_move(context, lamp, test) for test in tests]
         base = Settings(resolution=resolution, seed=seed)
-        ladders = {
-            name: list(_ladder(name, scene, base, shining, truths, steps, notes))
-            for name in methods.METHODS
-            if name in wanted
-        }
+        bakes = Bakes(scene, base, shining, truths, steps, notes)
+        # ours first: what others may take is in times of it
+        order = [name for name in reversed(methods.METHODS) if name in wanted]
+        ladders = {name: bakes.ladder(name) for name in order}
+        ours = next((rung for rung in ladders.get(WAYS["panes"], ()) if rung.given == rungs.DEFAULT), None)
+        by_hand = bakes.by_hand(ours) if ours else None
         for _ in range(ROUNDS - 1):
-            for name, ladder in ladders.items():
-                for number, rung in enumerate(ladder, 1):
-                    disturbed = any(larger.seconds < rung.seconds for larger in ladder[number:])
-                    if disturbed or rung.seconds < LONG:
-                        steps.begin(f"{name}, {number} of {len(ladder)} again", rung.seconds)
-                        rung.time(methods.METHODS[name](scene, rung.settings, steps.tick), shining)
-    found |= {name: [rung.point(extracting) for rung in ladder] for name, ladder in ladders.items()}
+            bakes.again(ladders, by_hand)
+    found |= {name: [rung.point(extracting) for rung in ladders[name]] for name in methods.METHODS if name in ladders}
+    own = {"default": ours, "by_hand": by_hand}
+    own = {name: rung.point(extracting) for name, rung in own.items() if rung}
     progress(Progress("Done", 1.0, 0))
     return {
         "scene": context.blend_data.filepath and bpy.path.display_name_from_filepath(context.blend_data.filepath),
@@ -166,45 +146,10 @@ def measure(
         "reference_noise": [round(truth.noise, 5) for truth in truths],
         "lamps": [{"kind": t.kind, "place": [round(x, 4) for x in t.place], "room_m": round(t.room, 4)} for t in tests],
         "methods": found,
+        **own,
         "studies": studies,
         "notes": notes,
     }
-
-
-class Steps:
-    """Progress over steps whose cost is known before, in units of about a second."""
-
-    TOTAL = 280
-
-    def __init__(self, progress):
-        self.progress = progress
-        self.done, self.cost, self.stage, self.told = 0.0, 0.0, "", 0.0
-
-    def begin(self, stage: str, cost: float) -> None:
-        """End the step before and begin one."""
-        self.done, self.cost, self.stage = self.done + self.cost, cost, stage
-        self.tick(0.0)
-
-    def tick(self, part: float) -> None:
-        """part: of the step, in [0, 1]."""
-        # tends to the end where more was to do than thought
-        spent = (self.done + self.cost * part) / self.TOTAL
-        # a bake that finds out that it has more to do falls back
-        self.told = max(self.told, spent if spent < 0.9 else 1 - 0.1 * np.exp(9 - 10 * spent))
-        self.progress(Progress(self.stage, self.told, 0))
-
-
-@dataclass(frozen=True)
-class Truth:
-    """A test lamp's reference and the noise of it, relative RMSE on blocks."""
-
-    reference: reference.Reference
-    noise: float
-
-    def compare(self, image: np.ndarray, valid: np.ndarray | None = None) -> metrics.Comparison:
-        mask = self.reference.mask if valid is None else self.reference.mask & valid
-        halves = tuple(self.reference.halves)
-        return metrics.compare(image, self.reference.image, mask, reference_halves=halves)
 
 
 def _open(context, resolution) -> tuple[Scene, float]:
@@ -309,9 +254,9 @@ def _move(context, lamp, test) -> tuple:
 
 
 def _truths(context, lamp, tests, resolution, steps, indirect) -> list[Truth]:
-    """A reference for each test lamp, of as many samples as its noise asks for, if they take no more than PATIENCE."""
+    """A reference for each test lamp, of as many samples as its noise asks for, if they take no more than REFERENCE_TIME."""
     rate = resolution**2 / PATHS
-    most = max(int(PATIENCE / (2 * rate)), REFERENCE_SPP)
+    most = max(int(REFERENCE_TIME / (2 * rate)), REFERENCE_SPP)
     truths = []
     for number, test in enumerate(tests, 1):
         _move(context, lamp, test)
@@ -345,9 +290,16 @@ def _cycles(context, lamp, tests, truths, resolution, steps, wanted, notes) -> d
     ways = [plain, clean] if denoises else [plain] if plain in wanted else []
     errors = {way: np.zeros((len(CYCLES_SPP), len(tests))) for way in ways}
     seconds = {way: np.full(errors[way].shape, np.inf) for way in ways}
+    made_in = np.zeros(len(CYCLES_SPP))
     for turn in range(ROUNDS if ways else 0):
         for row, spp in enumerate(CYCLES_SPP):
+            if turn and not 0 < made_in[row] < rungs.LONG:
+                continue
+            if row and made_in[row - 1] / CYCLES_SPP[row - 1] * spp > rungs.PATIENCE * len(tests):
+                notes.append(f"Cycles: {spp} samples left out, a bake takes over {rungs.PATIENCE:.3g} s.")
+                break
             steps.begin(f"Cycles, {spp} samples{' again' * (turn > 0)}", len(tests) * (0.2 + spp * rate))
+            started = time.perf_counter()
             for column, (test, truth) in enumerate(zip(tests, truths, strict=True)):
                 _move(context, lamp, test)
                 image, _, spent = reference.cycles_bake(context, {"INDIRECT"}, resolution, spp, 10 + column)
@@ -358,65 +310,13 @@ def _cycles(context, lamp, tests, truths, resolution, steps, wanted, notes) -> d
                 for way, (shown, took) in made.items():
                     errors[way][row, column] = truth.compare(shown).error
                     seconds[way][row, column] = min(seconds[way][row, column], took)
+            made_in[row] = time.perf_counter() - started
     return {
         way: [
-            _point(e, s, s, spp=spp)
+            point(e, s, s, spp=spp)
             for e, s, spp in zip(errors[way], seconds[way].mean(axis=1), CYCLES_SPP, strict=True)
+            if np.isfinite(s)
         ]
         for way in ways
         if way in wanted
     }
-
-
-def _point(errors, bake, each, **budget) -> dict:
-    return {
-        "error": round(float(np.mean(errors)), 5),
-        "errors": [round(float(e), 5) for e in errors],
-        "bake_s": round(float(bake), 4),
-        "relight_s": round(float(each), 6),
-        **budget,
-    }
-
-
-class _Rung:
-    """One budget of a way: its errors, and the best times so far."""
-
-    def __init__(self, settings: Settings, made: methods.Baked, shining: list[tuple], truths: list[Truth]):
-        self.settings = settings
-        self.budget = {"entries": made.entries, "rays": made.rays, "bytes": made.bytes}
-        self.errors = [
-            truth.compare(made.relight(lights), made.valid).error for lights, truth in zip(shining, truths, strict=True)
-        ]
-        self.seconds = np.inf
-        self.relights = np.full(len(shining), np.inf)
-        self.time(made, shining)
-
-    def time(self, made: methods.Baked, shining: list[tuple]) -> None:
-        """Take the times of another bake with these settings, where they are better."""
-        self.seconds = min(self.seconds, made.seconds)
-        for _ in range(TURNS):
-            for row, lights in enumerate(shining):
-                started = time.perf_counter()
-                made.relight(lights)
-                self.relights[row] = min(self.relights[row], time.perf_counter() - started)
-
-    def point(self, extracting: float) -> dict:
-        """extracting: s that reading the scene takes every way."""
-        return _point(self.errors, extracting + self.seconds, self.relights.mean(), **self.budget)
-
-
-def _ladder(name, scene, base, shining, truths, steps, notes) -> Iterator[_Rung]:
-    """A way's budgets, from small to large."""
-    paper = methods.METHODS[name] is methods.virtual_lights
-    ladder = [{"entries": entries} for entries in WALKS] if paper else LADDER
-    before = None
-    for number, given in enumerate(ladder, 1):
-        settings = replace(base, **given)
-        size = given.get("entries", 1)
-        if before is not None and paper and before[1] * size / before[0] > PATIENCE:
-            notes.append(f"{name}: {size} entries and more left out, they would take over {PATIENCE:.0f} s.")
-            return
-        steps.begin(f"{name}, {number} of {len(ladder)}", size / 60 if paper else number)
-        made = methods.METHODS[name](scene, settings, steps.tick)
-        before = (size, made.seconds)
-        yield _Rung(settings, made, shining, truths)

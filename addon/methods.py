@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -36,7 +36,7 @@ class Baked:
 
     seconds: of the whole bake. entries, rays: its budget. bytes: of the panes and, for eigenpanes, all that
     relighting reads. valid: (H, W) bool, the texels with a value of their own. relight: lamps → (H, W, 3)
-    float32 indirect irradiance, W/m², row 0 at v = 0.
+    float32 indirect irradiance, W/m², row 0 at v = 0. budget: what a planner's trials led to, empty without them.
     """
 
     seconds: float
@@ -45,6 +45,7 @@ class Baked:
     bytes: int
     valid: np.ndarray
     relight: Callable[[Sequence[Light]], np.ndarray]
+    budget: dict[str, int] = field(default_factory=dict)
 
 
 def eigenpanes(scene: Scene, settings: Settings, tick: Tick) -> Baked:
@@ -62,6 +63,7 @@ def eigenpanes(scene: Scene, settings: Settings, tick: Tick) -> Baked:
         made.bytes,
         own,
         lambda lights: relighter.relight(lights)[..., :3],
+        report["budget"],
     )
 
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, NullLocator
 
 STYLE = {
     "Cycles": ("#57606a", "o", 1.6),
@@ -28,7 +29,8 @@ is subtracted, which some 600 blocks know to a twentieth."""
 
 PERCENT = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
 SECONDS = {
-    1e-4: "0.1 ms", 1e-3: "1 ms", 1e-2: "10 ms", 0.1: "0.1 s", 1: "1 s", 10: "10 s", 60: "1 min", 600: "10 min", 3600: "1 h",
+    1e-4: "0.1 ms", 3e-4: "0.3 ms", 1e-3: "1 ms", 3e-3: "3 ms", 0.01: "10 ms", 0.03: "30 ms", 0.1: "0.1 s", 0.3: "0.3 s", 1: "1 s",
+    3: "3 s", 10: "10 s", 30: "30 s", 100: "100 s", 300: "5 min", 900: "15 min", 3600: "1 h",
 }  # fmt: skip
 
 
@@ -37,19 +39,26 @@ def draw(result: dict, path: Path) -> None:
     figure = Figure(figsize=(12, 6), dpi=150, facecolor="white")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2, sharey=True)
-    figure.subplots_adjust(left=0.065, right=0.985, top=0.82, bottom=0.155, wspace=0.06)
-    noise = LOST * float(np.mean(result["reference_noise"]))
+    figure.subplots_adjust(left=0.065, right=0.985, top=0.82, bottom=0.17, wspace=0.06)
+    given = result["reference_noise"]
+    noise = LOST * float(np.mean(given))
     _panel(left, result["methods"], "bake_s", noise, "The first picture", "time of the whole bake")
     again = "time of a relight (Cycles: another bake)"
     _panel(right, result["methods"], "relight_s", noise, "Every other lamp position", again)
     left.set_ylabel("relative error of indirect light", color=INK, fontsize=11)
+    if own := result.get("default"):
+        for axes, key in ((left, "bake_s"), (right, "relight_s")):
+            ring = {"markersize": 14, "markerfacecolor": "none", "markeredgewidth": 1.6, "zorder": 4}
+            axes.plot([own[key]], [max(own["error"], 1e-6)], "o", markeredgecolor=STYLE["Lightpanes"][0], **ring)
     figure.canvas.draw()
     for axes, key in ((left, "bake_s"), (right, "relight_s")):
         _label(axes, result["methods"], key)
     kinds = [lamp for lamp in result["lamps"] if lamp["kind"] == "near"]
     near = f", one of them {_length(kinds[0]['room_m'])} from a surface" if kinds else ""
     figure.text(0.065, 0.94, f"{result['scene']}: error against time", fontsize=18, fontweight="bold", color=INK)
-    spp = "–".join(f"{n:,}" for n in sorted(set(result["reference_spp"])))
+    noises = "–".join(dict.fromkeys(f"{100 * n:.2g} %" for n in (min(given), max(given))))
+    samples = result["reference_spp"]
+    spp = "–".join(dict.fromkeys(f"{n:,}" for n in (min(samples), max(samples))))
     figure.text(
         0.065,
         0.895,
@@ -59,17 +68,18 @@ def draw(result: dict, path: Path) -> None:
     )
     figure.text(
         0.065,
-        0.025,
-        f"{result['resolution']}² atlas, {result['triangles']:,} triangles. RMSE over mean on 4×4-texel blocks against "
-        f"Cycles at {spp} samples a texel, whose own noise is subtracted (grey: lost in it). Further left and further down is better.",
+        0.02,
+        f"{result['resolution']}² atlas, {result['triangles']:,} triangles. Further left and further down is better; ringed: default settings. "
+        f"RMSE over mean on 4×4-texel blocks against Cycles at\n{spp} samples a texel, whose own noise, {noises}, is subtracted "
+        "(grey: lost in it).",
         fontsize=8.5,
         color=SOFT,
     )
     figure.savefig(path, format="png")
 
 
-def draw_study(study: dict, path: Path) -> None:
-    """Write the PNG of a study that has lines (addon/studies.py)."""
+def draw_study(study: dict, path: Path) -> Figure:
+    """Write the PNG of a study that has lines (addon/studies.py); returns what was drawn."""
     figure = Figure(figsize=(6.4, 4.2), dpi=110, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots()
@@ -81,17 +91,43 @@ def draw_study(study: dict, path: Path) -> None:
     # nothing has no logarithm
     axes.set_yscale("log" if "y" in study["log"] and min(values) > 0 else "linear")
     axes.set_title(study["title"], loc="left", fontsize=12, color=INK)
-    axes.set_xlabel(study["x"], color=INK)
+    axes.set_xlabel({"s": "seconds"}.get(study["x"], study["x"]), color=INK)
     axes.set_ylabel(study["y"], color=INK)
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter(lambda value, _: f"{value:g}")
+    relative = any(word in study["y"] for word in ("error", "RMSE"))
+    for axis, show in ((axes.xaxis, _plain), (axes.yaxis, _percent if relative else _plain)):
+        if axis.get_scale() == "log":
+            _widen(axis)
+            low, high = axis.get_view_interval()
+            axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high > 12 * low else (1, 1.5, 2, 3, 5, 7), numticks=30))
+            axis.set_minor_locator(NullLocator())
+        axis.set_major_formatter(show)
         axis.set_minor_formatter(NullFormatter())
-    axes.grid(True, which="both", color=GRID, linewidth=0.8)
+    if "times as" in study["y"]:
+        axes.axhline(1, color=INK, linewidth=1.1, linestyle=(0, (5, 3)), zorder=1.5)
+    axes.tick_params(length=0, labelsize=9.5, colors=INK)
+    axes.grid(True, color=GRID, linewidth=0.8)
     axes.set_axisbelow(True)
     for side in axes.spines.values():
         side.set_visible(False)
     axes.legend(frameon=False, fontsize=9)
     figure.savefig(path, format="png")
+    return figure
+
+
+def _widen(axis):
+    """At least a factor of three, and some air, or there may be no tick at all."""
+    low, high = axis.get_data_interval()
+    if low > 0:
+        more = max((3 / (high / low)) ** 0.5, 1.15)
+        axis.set_view_interval(low / more, high * more, ignore=True)
+
+
+def _plain(value, _):
+    return f"{value:g}"
+
+
+def _percent(value, _):
+    return f"{100 * value:g} %"
 
 
 def _panel(axes, found, key, noise, title, below):
@@ -179,6 +215,7 @@ def _label(axes, found, key):
             va="bottom",
             ha="left",
             zorder=5,
+            path_effects=[withStroke(linewidth=3, foreground="white")],
         )
 
 

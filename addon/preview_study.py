@@ -15,10 +15,10 @@ from . import shown, view
 from .pixels import read_pixels
 from .reference import BOUNCES, UNBIASED
 
-WIDTH = 160
+WIDTH = 128
 """Pixels across; the height is as the scene's camera has it."""
 
-FRAMES = (1, 2, 4, 8, 16, 32)
+FRAMES = (1, 4, 16, 32)
 SPP = (1, 4, 16)
 REFERENCE_SPP = 512
 DEPTH = 8

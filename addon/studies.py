@@ -30,10 +30,10 @@ from ..core.surface import make_texels
 BASE = {"error_target": 0.1, "entry_rays": 1024}
 """Settings of the bakes that are studied: noise of the transport would drown what panes lose."""
 
-POINTS = (500, 1000, 2000, 4000)
+POINTS = (500, 1400, 4000)
 POINT_RAYS = 256
 
-PANES = (2, 4, 8, 16, 32)
+PANES = (2, 8, 32)
 REGIONS = (16, 64)
 CLUSTERS = (16, 64, 256)
 

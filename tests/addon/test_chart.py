@@ -19,6 +19,7 @@ from lightpanes.addon import (  # noqa: E402
     methods,
     preview_study,
     reference,
+    rungs,
     studies,
 )
 from lightpanes.addon.extract import extract  # noqa: E402
@@ -42,8 +43,9 @@ def small(monkeypatch):
     monkeypatch.setattr(chart, "CYCLES_SPP", (1, 16, 128))
     monkeypatch.setattr(chart, "REFERENCE_SPP", 128)
     monkeypatch.setattr(chart, "REFERENCE_NOISE", 10.0)
-    monkeypatch.setattr(chart, "LADDER", ({**SMALL, "entries": 200, "exit_rays": 16}, SMALL))
-    monkeypatch.setattr(chart, "WALKS", (64, 256))
+    monkeypatch.setattr(rungs, "LADDER", ({**SMALL, "entries": 200, "exit_rays": 16}, SMALL))
+    monkeypatch.setattr(rungs, "GATHERED", rungs.LADDER)
+    monkeypatch.setattr(rungs, "WALKS", (64, 256))
     monkeypatch.setattr(chart, "ROUNDS", 2)
     save_rays(monkeypatch)
 
@@ -53,7 +55,8 @@ def least(small, monkeypatch):
     """A chart whose figures do not matter."""
     monkeypatch.setattr(chart, "CYCLES_SPP", (1, 2))
     monkeypatch.setattr(chart, "REFERENCE_SPP", 4)
-    monkeypatch.setattr(chart, "LADDER", ({**SMALL, "entries": 200, "exit_rays": 16},))
+    monkeypatch.setattr(rungs, "LADDER", ({**SMALL, "entries": 200, "exit_rays": 16},))
+    monkeypatch.setattr(rungs, "GATHERED", rungs.LADDER)
 
 
 @pytest.fixture
@@ -212,10 +215,34 @@ def test_black_scene(room, small):
 
 
 def test_long_ways_are_left_out(room, least, monkeypatch):
-    monkeypatch.setattr(chart, "PATIENCE", 0.0)
+    """But for the smallest bake of each way, and the default one."""
+    default = {**SMALL, "entries": 220}
+    monkeypatch.setattr(rungs, "PATIENCE", 1e-3)
+    monkeypatch.setattr(rungs, "DEFAULT", default)
+    monkeypatch.setattr(rungs, "LADDER", (*rungs.LADDER, SMALL, default, {**SMALL, "entries": 300}))
+    monkeypatch.setattr(rungs, "GATHERED", rungs.LADDER[:2])
     found = chart.measure(bpy.context, 32, names=PLAIN)
-    assert len(found["methods"]["The paper's method"]) == 1
-    assert found["notes"] == ["The paper's method: 256 entries and more left out, they would take over 0 s."]
+    assert [len(line) for line in found["methods"].values()] == [1, 1, 1, 2]
+    assert found["methods"]["Lightpanes"][1] == found["default"]
+    assert found["notes"] == [
+        "Cycles: 2 samples left out, a bake takes over 0.001 s.",
+        "Lightpanes: 400 entries left out, a bake takes over 0.001 s.",
+        "Lightpanes: 300 entries left out, a bake takes over 0.001 s.",
+        "The paper's panes, our gather: 400 entries left out, a bake takes over 0.001 s.",
+        "The paper's method: 256 entries left out, a bake takes over 0.001 s.",
+        "Lightpanes: the default's budgets by hand left out, a bake takes over 0.001 s.",
+    ]
+
+
+def test_default_bake_beside_the_same_budgets_by_hand(room, least, monkeypatch):
+    monkeypatch.setattr(rungs, "LADDER", (rungs.DEFAULT,))
+    found = chart.measure(bpy.context, 32, names=("panes",))
+    assert found["methods"]["Lightpanes"] == [found["default"]]
+    tried, given = found["default"], found["by_hand"]
+    # the trials' budgets, and with them the same bake but for its trials
+    assert given["entries"] == tried["entries"] and given["bytes"] == tried["bytes"]
+    assert given["error"] == pytest.approx(tried["error"], rel=0.2)
+    assert given["rays"] < tried["rays"]
 
 
 def run_chart(*words):
@@ -279,6 +306,30 @@ def test_picture_of_odd_figures(tmp_path):
     }
     plot.draw(found, tmp_path / "odd.png")
     assert (tmp_path / "odd.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("lines", "log"),
+    [
+        ({"flat": [[100, 0.05], [200, 0.05]]}, "xy"),
+        ({"wide": [[1, 1e-4], [1e6, 50.0]], "one": [[30, 0.2]]}, "xy"),
+        ({"nothing": [[1, 0.0], [2, 0.0]]}, "xy"),
+        ({"likeness": [[0.1, 0.3], [0.12, 0.31]]}, "x"),
+    ],
+)
+def test_picture_of_odd_studies(tmp_path, lines, log):
+    pytest.importorskip("matplotlib")
+    from lightpanes.addon import plot
+
+    study = {"title": "Odd", "x": "s", "y": "error", "log": log, "lines": lines, "note": ""}
+    axes = plot.draw_study(study, tmp_path / "odd.png").axes[0]
+    assert (tmp_path / "odd.png").stat().st_size > 5_000
+    # numbers at both axes, or nobody can read a figure off
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = sorted(axis.get_view_interval())
+        assert sum(low <= place <= high for place in axis.get_majorticklocs()) >= 2
+    assert all(text.get_text().endswith("%") for text in axes.get_yticklabels())
+    assert axes.get_xlabel() == "seconds"
 
 
 def test_denoised_bakes(room, least):
@@ -393,7 +444,7 @@ def test_references_take_as_many_samples_as_their_noise_asks_for(room, least, mo
 
 def test_how_far_a_point_is_from_the_best():
     """Of the row of `make bench ONLY=charts`: the same error in less time, less error in the same time."""
-    from ..bench.bench_charts import factors
+    factors = chart_page.factors
 
     def point(seconds, error):
         return {"bake_s": seconds, "error": error}

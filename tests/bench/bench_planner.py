@@ -1,7 +1,8 @@
 """The planner: whether a bake's own error is the true one, and whether budgets by trial meet what was asked for.
 
 The truth is Cycles', under lamps of the kind that bakes judge themselves by, but other ones (judged.py). `PART` in the
-environment runs one of the parts alone: estimate, target, larger, time, default, budget.
+environment runs one of the parts alone: estimate, target, larger, time, budget. Whether the default bake is a good one is
+read from the charts (bench_charts.py).
 """
 
 from __future__ import annotations
@@ -44,11 +45,6 @@ HALVES = (
     ("stairs", 0.1, "points"),
 )
 
-DEFAULTS = ("cornell", "pillars", "two_rooms", "stairs")
-
-BESIDE = ({}, {"entries": 0.8, "panes": 1.5}, {"lamps": 0.67}, {"entries": 0.8}, {"entry_rays": 0.6, "exit_rays": 1.5})
-"""What the default's budget is multiplied by for the other points of its chart, which are set by hand: they try nothing."""
-
 TIMES = (("stairs", 8.0), ("cornell", 15.0), ("stairs", 25.0))
 
 
@@ -64,9 +60,6 @@ def rows() -> Iterator[dict]:
         yield _larger(made)
     if part in ("", "time"):
         yield from _times(made)
-    if part in ("", "default"):
-        for name in DEFAULTS:
-            yield _default(name, made)
     if part in ("", "budget"):
         for name, seconds in TIMES:
             yield _in_time(name, seconds)
@@ -124,19 +117,6 @@ def _times(made):
         seconds = np.array([_bake(name, made, error_target=t)[0].report["seconds"] for t in targets])
         power = -np.polyfit(np.log(targets), np.log(seconds), 1)[0]
         yield harness.row(f"bake time as a power of 1 / target, {name}", power, 2.2, detail=f"{seconds.round(1)} s")
-
-
-def _default(name, made):
-    """Time of the default bake over that of the fastest one by hand that errs no more."""
-    result, true = _bake(name, made)
-    budget, took = result.report["budget"], result.report["seconds"]
-    least, details = took, [f"default: {true:.4f} in {took:.1f} s"]
-    for factors in BESIDE:
-        other, error = _bake(name, made, **budget | {what: round(budget[what] * by) for what, by in factors.items()})
-        seconds = other.report["seconds"]
-        details.append(f"{factors or 'the same by hand'}: {error:.4f} in {seconds:.1f} s")
-        least = min(least, seconds) if error <= true else least
-    return harness.row(f"time of a default bake over the best as exact, {name}", took / least, 1.5, detail="; ".join(details))  # fmt: skip
 
 
 def _in_time(name, seconds):
