@@ -468,7 +468,8 @@ def test_rendered_frames_show_their_own_light(seen, tmp_path, kept):
             light = load(tmp_path / f"irradiance_{frame:04d}.exr")[place].mean(axis=(0, 1))
             assert np.allclose(picture, light * (0.2, 0.4, 0.7) / np.pi, rtol=0.02)
             means.append(picture.mean())
-        assert means[3] == pytest.approx(means[2] / 4, rel=0.01) and abs(means[0] / means[2] - 1) > 0.1
+        # a fine bake says 0.14; more than twice the tolerance above, so that no frame passes for another
+        assert means[3] == pytest.approx(means[2] / 4, rel=0.01) and abs(means[0] / means[2] - 1) > 0.05
     assert seen.frame_current == 2
 
 
