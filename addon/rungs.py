@@ -71,8 +71,7 @@ class Steps:
         """part: of the step, in [0, 1]."""
         # tends to the end where more was to do than thought
         spent = (self.done + self.cost * part) / self.TOTAL
-        # a bake that finds out that it has more to do falls back
-        # threads of a bake tick, and what is told last must be the most
+        # a bake that finds out that it has more to do falls back, and of its threads the last to tell must tell the most
         with self.lock:
             self.told = max(self.told, spent if spent < 0.9 else 1 - 0.1 * np.exp(9 - 10 * spent))
             self.progress(Progress(self.stage, self.told, 0))

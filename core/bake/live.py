@@ -10,7 +10,6 @@ from ..panes.entry_light import EntryLight, EntrySurface
 from ..panes.held_out import held_out_lamps, representative
 from ..panes.modes import Modes, learn_modes, training_fields
 from ..panes.regions import features, make_regions, rooms, signature, split_regions
-from ..panes.training import NAME as ANYWHERE
 from ..panes.training import illuminate, training_lamps
 from ..panes.weights import PaneWeights, make_weights
 from ..planner import Budget
@@ -111,7 +110,7 @@ def _seen(eyes: EntryLight, lamps: list[Light], entries: Entries) -> np.ndarray:
 def _judges(surfaces, ground, surface, transport, seed):
     """TEST_LAMPS held-out lamps that stand for many."""
     entries = ground.entries
-    many = held_out_lamps(surfaces.scene, entries.places, ground.gatherer, CANDIDATES, seed + 1006)
+    many, own = held_out_lamps(surfaces.scene, entries.places, ground.gatherer, CANDIDATES, seed + 1006)
     if not many:
         return many
     direct = _seen(EntryLight(surface, surfaces.tracer, seed, few=1), many, entries)
@@ -120,8 +119,7 @@ def _judges(surfaces, ground, surface, transport, seed):
     area = np.where(entries.back, 0, entries.area) if not entries.back.all() else entries.area
     area = (area / area.sum()).astype(np.float32)
     mean = area @ field
-    alike = np.array([lamp.name for lamp in many]) == ANYWHERE
-    # suns are measured in other units; where nothing is passed on, all are alike
-    kept = np.flatnonzero(~alike | (mean >= DIM * np.median(mean[alike]))) if alike.any() else np.arange(len(many))
+    # suns, which may be among the scene's own, are measured in other units; where nothing is passed on, all are alike
+    kept = np.flatnonzero(own | (mean >= DIM * np.median(mean[~own]))) if not own.all() else np.arange(len(many))
     uneven = np.sqrt(area @ field**2) / np.maximum(mean, 1e-30)
-    return representative([many[k] for k in kept], uneven[kept], TEST_LAMPS)
+    return representative([many[k] for k in kept], own[kept], uneven[kept], TEST_LAMPS)

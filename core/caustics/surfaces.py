@@ -43,7 +43,6 @@ class Surfaces:
         self.kind[found.triangles] = BENDS
         self.flat = _outward(scene)
         rows = np.flatnonzero(found.triangles)
-        self.caster_triangles = rows
         self._row = np.zeros(len(self.kind), np.int32)
         self._row[rows] = np.arange(len(rows))
         corners = scene.positions[scene.triangles[rows]]

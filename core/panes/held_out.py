@@ -16,7 +16,6 @@ from ..sampling import frame, hash_uniform
 from ..scene import Light, Scene
 from ..surface import SurfaceSamples
 from ..transfer import Gatherer
-from .training import NAME as ANYWHERE
 from .training import free_air, point_lamps, room_around
 
 CLEAR = 0.03
@@ -35,8 +34,11 @@ SUN_PLACES = 512
 """Places that tell how much of a sun gets to the scene."""
 
 
-def held_out_lamps(scene: Scene, points: SurfaceSamples, gatherer: Gatherer, count: int, seed: int) -> list[Light]:
-    """`count` lamps: the scene's own live ones moved about, and point lamps anywhere in the air, in turns.
+def held_out_lamps(
+    scene: Scene, points: SurfaceSamples, gatherer: Gatherer, count: int, seed: int
+) -> tuple[list[Light], np.ndarray]:
+    """`count` lamps: the scene's own live ones moved about, and point lamps anywhere in the air, in turns; and (l,) bool,
+    which are the scene's own.
 
     points: places on the entries, from which the air is found. Suns turn to where they still reach them. Fewer where
     the scene has no room.
@@ -51,24 +53,27 @@ def held_out_lamps(scene: Scene, points: SurfaceSamples, gatherer: Gatherer, cou
     # where it is narrow, the roomiest places come first
     order = np.lexsort((rank, -np.minimum(room, CLEAR * scene.extent)))
     anywhere = point_lamps(air[order[: count - half]][room[order[: count - half]] > 0])
-    pairs = [lamp for pair in zip(own, anywhere, strict=False) for lamp in pair]
-    least = min(len(own), len(anywhere))
-    return pairs + own[least:] + anywhere[least:]
+    lamps = _in_turns(own, anywhere)
+    return lamps, np.array(_in_turns([True] * len(own), [False] * len(anywhere)), bool)
 
 
-def representative(lamps: list[Light], uneven: np.ndarray, count: int) -> list[Light]:
-    """`count` of many lamps, as from `held_out_lamps`: of the scene's own and of the others the middle ones of as many parts,
-    sorted by `uneven` (l,). They stay in turns."""
-    own = [k for k, lamp in enumerate(lamps) if lamp.name != ANYWHERE]
-    others = [k for k, lamp in enumerate(lamps) if lamp.name == ANYWHERE]
-    many = min(count // 2, len(own)) if others else min(count, len(own))
+def representative(lamps: list[Light], own: np.ndarray, uneven: np.ndarray, count: int) -> list[Light]:
+    """`count` of many lamps, as from `held_out_lamps`: of the scene's own, (l,) bool, and of the others the middle ones of
+    as many parts, sorted by `uneven` (l,). They stay in turns."""
+    mine, others = np.flatnonzero(own), np.flatnonzero(~own)
+    many = min(count // 2, len(mine)) if len(others) else min(count, len(mine))
     chosen = []
-    for group, part in ((own, many), (others, min(count - many, len(others)))):
+    for group, part in ((mine, many), (others, min(count - many, len(others)))):
         middle = ((np.arange(part) + 0.5) * len(group) / max(part, 1)).astype(np.int64)
-        chosen.append([group[k] for k in np.argsort(uneven[group], kind="stable")[middle]])
-    pairs = [k for pair in zip(*chosen, strict=False) for k in pair]
-    least = min(map(len, chosen))
-    return [lamps[k] for k in (*pairs, *chosen[0][least:], *chosen[1][least:])]
+        chosen.append([lamps[group[k]] for k in np.argsort(uneven[group], kind="stable")[middle]])
+    return _in_turns(*chosen)
+
+
+def _in_turns(some, others):
+    """One of each list after the other, then what is left of the longer one."""
+    pairs = [one for pair in zip(some, others, strict=False) for one in pair]
+    least = min(len(some), len(others))
+    return pairs + some[least:] + others[least:]
 
 
 def _moved(light: Light, scene: Scene, points: SurfaceSamples, gatherer: Gatherer, number: int, seed: int) -> Light:

@@ -16,9 +16,6 @@ from .occluders import Occluders
 from .receivers import Receivers
 from .shading import shade
 
-SETS = 4
-"""Sets of samples that neighbours take in turns, so that 4 × 4 texels see four times as many samples as one."""
-
 STEPS = ((0.03, 64), (0.008, 256), (0.0, 1024))
 """Samples of an area lamp for an accepted error, relative, on blocks of 4 × 4 texels."""
 

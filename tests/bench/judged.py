@@ -107,7 +107,7 @@ def judging_lamps(scene: Scene, count: int = LAMPS) -> list[Light]:
     bvh = Bvh(patches.corners)
     entries, _, _ = find_entries(scene, patches, bvh, texels.samples, tracer.offset, SEED)
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset)
-    return held_out_lamps(scene, entries.places, gatherer, count, SEED)
+    return held_out_lamps(scene, entries.places, gatherer, count, SEED)[0]
 
 
 def judge(scene: Scene, result, known: list[Truth]) -> list[metrics.Comparison]:

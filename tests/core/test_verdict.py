@@ -11,9 +11,9 @@ from lightpanes.core.bake.kept import Kept
 from lightpanes.core.bake.rounds import settle
 from lightpanes.core.bake.steps import prepare
 from lightpanes.core.panes.exits import gather_panes
-from lightpanes.core.panes.held_out import CLEAR, REACH, held_out_lamps
+from lightpanes.core.panes.held_out import CLEAR, REACH, held_out_lamps, representative
 from lightpanes.core.panes.regions import region_of
-from lightpanes.core.panes.training import room_around
+from lightpanes.core.panes.training import NAME, room_around
 from lightpanes.core.planner import (
     FALL,
     MOST_ENTRIES,
@@ -84,10 +84,11 @@ def shows(light):
 
 def test_held_out_lamps_stand_in_the_air_and_half_are_the_scenes_own(made):
     scene = made.scene
-    found = held_out_lamps(scene, made.places, made.gatherer, 12, 5)
+    found, are_own = held_out_lamps(scene, made.places, made.gatherer, 12, 5)
     assert len(found) == 12
     own, anywhere = found[::2], found[1::2]
-    assert {light.name for light in anywhere} == {"training"}
+    assert are_own[::2].all() and not are_own[1::2].any()
+    assert {light.name for light in own} == {light.name for light in scene.lights}
     suns = [light for light in own if light.kind == "SUN"]
     points = [light for light in own if light.kind == "POINT"]
     assert len(suns) == len(points) == 3
@@ -97,8 +98,18 @@ def test_held_out_lamps_stand_in_the_air_and_half_are_the_scenes_own(made):
     assert around.min() > 0.99 * CLEAR * scene.extent
     # no sun gets into a closed room, wherever it stands
     assert all(np.allclose(light.direction, scene.lights[1].direction) for light in suns)
-    again = held_out_lamps(scene, made.places, made.gatherer, 12, 5)
+    again, _ = held_out_lamps(scene, made.places, made.gatherer, 12, 5)
     assert all(np.array_equal(a.matrix, b.matrix) for a, b in zip(found, again, strict=True))
+
+
+def test_the_scenes_own_lamps_are_told_apart_whatever_they_are_called(made):
+    """Their names are the user's, and may be those that lamps of no scene have."""
+    scene = replace(made.scene, lights=tuple(replace(light, name=NAME) for light in made.scene.lights))
+    found, own = held_out_lamps(scene, made.places, made.gatherer, 12, 5)
+    assert np.array_equal(own, held_out_lamps(made.scene, made.places, made.gatherer, 12, 5)[1])
+    some = representative(found, own, np.arange(12.0), 6)
+    kinds = [any(one is light for light, mine in zip(found, own, strict=True) if mine) for one in some]
+    assert kinds == [True, False] * 3
 
 
 def test_fresh_light_is_what_a_plain_gather_brings(made):
