@@ -7,7 +7,7 @@ RUN := $(VENV)/bin/python
 LOCK := requirements/py$(VERSION).lock
 ONLY ?=
 
-.PHONY: demo test sequences gui lint bench samples chart charts failures caustics pictures preview package clean venv
+.PHONY: demo test sequences gui lint bench samples chart charts failures caustics pictures preview package clean venv locked
 
 demo: venv
 	$(RUN) sample_blends/demo.py
@@ -55,11 +55,16 @@ package: venv
 
 venv: $(VENV)/.ready
 
-$(VENV)/.ready: $(LOCK) pyproject.toml
+locked: $(VENV)/.locked
+
+$(VENV)/.ready: $(VENV)/.locked pyproject.toml
+	$(RUN) -m pip install --quiet --no-deps --editable .
+	touch $@
+
+$(VENV)/.locked: $(LOCK)
 	@test -n "$(VERSION)" || { echo "No Python 3.11 or 3.13 found; install one, or say make PYTHON=/path/to/python3.11"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	$(RUN) -m pip install --quiet --requirement $(LOCK)
-	$(RUN) -m pip install --quiet --no-deps --editable .
 	touch $@
 
 $(LOCK):

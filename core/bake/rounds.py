@@ -24,6 +24,7 @@ from ..planner import (
     part_of,
     plan,
     refine,
+    surely,
 )
 from ..scene import Light, Scene
 from .clock import Clock
@@ -105,7 +106,7 @@ def settle(scene: Scene, settings: Settings, clock: Clock, kept: Kept) -> Settle
     wanted = refine(settings, judged, surfaces.at_points)
     made.budget = replace(made.budget, exit_rays=wanted.exit_rays)
     last = judged[-1]
-    met = beyond_noise(last) <= settings.error_target
+    met = beyond_noise(last) <= surely(settings.error_target, last.error, last.doubt)
     tight = _within(wanted, settings, surfaces).entries < wanted.entries
     return Settled(made, "error" if met else "memory" if tight else "most", judged)
 
@@ -146,7 +147,7 @@ def _try(
         return made, None
     verdict = judge(made, settings.seed, tick=clock.pulse)
     clock.stop()
-    return made, None if verdict is None else Judged(made.budget, verdict.error, verdict.exits)
+    return made, None if verdict is None else Judged(made.budget, verdict.error, verdict.exits, verdict.doubt)
 
 
 def _in_time(wanted: Budget, settings: Settings, took: Took, places: int, clock: Clock) -> Budget | None:
