@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from ..form_factors import triangles_from
 from ..lights import irradiance
 from ..rays import Tracer
 from ..scene import Light
 from ..surface import Patches, SurfaceSamples
 from ..transfer import Entries
+from .sharing import Sharing
 
 FEW = 2
 """Places of an entry that see a lamp, those whose middle is nearest to the entry's; all once the lamp is near."""
@@ -37,6 +40,25 @@ class EntrySurface:
 
     def __len__(self) -> int:
         return len(self.albedo)
+
+    @cached_property
+    def left(self) -> np.ndarray:
+        """(n,) float32 part of each entry that nothing stands on: places that are left stand in for others, in turns."""
+        each = len(self.position) // max(len(self), 1)
+        place = self.position.reshape(len(self), each, 3)
+        again = (place[:, 1:] == place[:, :1]).all(axis=2)
+        return np.where(again.any(axis=1), again.argmax(axis=1) + 1, each).astype(np.float32) / np.float32(max(each, 1))
+
+    @cached_property
+    def middle(self) -> np.ndarray:
+        """(n, 3) float32 m, of what is left of each entry."""
+        corners = self.pieces.astype(np.float64)
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        own = np.repeat(np.arange(len(self)), self.counts)
+        total = np.stack([np.bincount(own, corners.mean(axis=1)[:, k] * area, len(self)) for k in range(3)], 1)
+        whole = total / np.maximum(np.bincount(own, area, len(self)), 1e-300)[:, None]
+        some = self.position.reshape(len(self), -1, 3).mean(axis=1)
+        return np.where((self.left < 1)[:, None], some, whole).astype(np.float32)
 
     @classmethod
     def of(cls, entries: Entries, patches: Patches, places: SurfaceSamples, offset: float) -> EntrySurface:
@@ -94,53 +116,71 @@ class EntryLight:
         found = found.reshape(self.few, count, *found.shape[1:])
         moment = np.einsum("kn,nkd->nd", _grey(found), self._few_apart) / np.float32(self.few)
         found = found.mean(axis=0)
-        near = self._near(light)
+        near, depth = self._near(light)
         if len(near):
             closely, moment[near] = self._closely(light, near)
             # tints are known where any ray was traced
             if closely.ndim > found.ndim:
                 found = np.repeat(found[:, None], 3, axis=1)
             found[near] = closely if closely.ndim == found.ndim else closely[:, None]
+            self._sharing.share(found, moment, near, np.minimum(2 * depth, 1))
         return found, moment
 
+    @cached_property
+    def _sharing(self):
+        return Sharing(self.surface, self.tracer)
+
     def _near(self, light):
+        """(m,) entries that a lamp is near, and (m,) how deep within the distance where that begins, in parts of it."""
         if light.kind == "SUN":
-            return np.zeros(0, np.int64)
+            return np.zeros(0, np.int64), np.zeros(0, np.float32)
         reach = light.radius + 0.5 * max(light.size) * (light.kind == "AREA")
         apart = np.linalg.norm(self._position[:, 0] - light.position.astype(np.float32), axis=1)
-        return np.flatnonzero(apart < CLOSE * self.surface.size + reach)
+        depth = 1 - (apart - np.float32(reach)) / (np.float32(CLOSE) * self.surface.size)
+        near = np.flatnonzero(depth > 0)
+        return near, depth[near]
 
     def _closely(self, light, near):
         position, normal = self._position[near], self._normal[near]
         places = position.reshape(-1, 3), normal.reshape(-1, 3)
         found = irradiance(light, *places, self.tracer.visibility, 1, self.seed)
         found = found.reshape(len(near), self.each, *found.shape[1:])
-        moment = np.einsum("nk,nkd->nd", _grey(found), _apart(position)) / np.float32(self.each)
+        apart = _apart(position)
+        moment = np.einsum("nk,nkd->nd", _grey(found), apart) / np.float32(self.each)
         found = found.mean(axis=1)
         if light.kind == "AREA":
             return found, moment
         vectors = light.position.astype(np.float32) - position
         distance2 = np.einsum("nkd,nkd->nk", vectors, vectors)
         facing = np.maximum(np.einsum("nkd,nkd->nk", vectors, normal), 0)
-        plain = (facing / (4 * np.pi * distance2**1.5)).mean(axis=1)
-        exact = self._solid_angle(near, light.position) / (4 * np.pi * self.surface.size[near].astype(np.float64) ** 2)
+        plain = facing / (4 * np.pi * distance2**1.5)
+        free, free_moment = plain.mean(axis=1), np.einsum("nk,nkd->nd", plain, apart) / np.float32(self.each)
+        angle, exact_moment = self._seen_from(near, light.position)
+        area = 4 * np.pi * self.surface.size[near].astype(np.float64) ** 2
         # a soft lamp that touches the entry has no solid angle to speak of
-        use = (plain > 0) & (distance2.min(axis=1) > (2 * light.radius) ** 2)
-        scale = np.where(use, exact / np.where(plain > 0, plain, 1), 1).astype(np.float32)
-        return found * (scale if found.ndim == 1 else scale[:, None]), moment * scale[:, None]
+        use = (free > 0) & (distance2.min(axis=1) > (2 * light.radius) ** 2)
+        scale = np.where(use, angle / area / np.where(free > 0, free, 1), 1)
+        # places tell what is in the way, and the rest is exact, where no part of the entry is hidden
+        passes = np.where(use, (found if found.ndim == 1 else found.mean(axis=1)) / np.where(free > 0, free, 1), 0)
+        known = (use & (self.surface.left[near] == 1))[:, None]
+        more = passes[:, None] * (exact_moment / area[:, None] - scale[:, None] * free_moment)
+        moment = moment * scale[:, None] + np.where(known, more, 0)
+        scale = scale.astype(np.float32)
+        return found * (scale if found.ndim == 1 else scale[:, None]), moment.astype(np.float32)
 
     def _solid_angle(self, entries, place):
-        """(m,) sr that each entry's lit side fills, seen from `place` (Van Oosterom & Strackee 1983)."""
+        """(m,) sr that each entry's lit side fills, seen from `place`."""
+        return self._seen_from(entries, place)[0]
+
+    def _seen_from(self, entries, place):
+        """The solid angle (m,), and its moment (m, 3) about each entry's middle, m."""
         counts = self.surface.counts[entries]
         run = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
         pieces = self.surface.pieces[np.repeat(self._first_piece[entries], counts) + run]
-        # float64: slivers cancel
-        a, b, c = np.moveaxis(pieces.astype(np.float64) - place, 1, 0)
-        la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
-        volume = -np.einsum("nd,nd->n", a, np.cross(b, c))
-        dots = [np.einsum("nd,nd->n", *pair) for pair in ((a, b), (a, c), (b, c))]
-        angle = 2 * np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * lb + dots[2] * la)
-        return np.bincount(np.repeat(np.arange(len(entries)), counts), np.maximum(angle, 0), len(entries))
+        parts = triangles_from(pieces, place)
+        own = np.repeat(np.arange(len(entries)), counts)
+        angle, *moment = (np.bincount(own, v, len(entries)) for v in (parts[0], *parts[1].T))
+        return angle, np.stack(moment, 1) + (place - self.surface.middle[entries]) * angle[:, None]
 
 
 def _apart(position):
