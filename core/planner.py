@@ -29,8 +29,12 @@ MOST_ENTRIES, MOST_POINTS = 10_000, 60_000
 IN_REGION = 22
 """Entries of a region: its panes are then about two thirds of what would hold any light."""
 
-GOAL = 0.9
-"""Part of the error target that a larger budget aims at: no step hits what it aims at."""
+SURE = 0.9
+"""Part of the error target that a bake's own error must not exceed: under other lamps than those that it judges itself by
+the error is another, by a tenth or so."""
+
+GOAL = 0.92
+"""Part of that which a larger budget aims at: no step hits what it aims at."""
 
 OF_NOISE, OF_POINTS = 0.4, 0.6
 """Parts of the target that the gather's noise, and points, may take; they add up as squares."""
@@ -169,12 +173,11 @@ def part_of(budget: Budget, settings: Settings, part: float) -> Budget:
 @dataclass(frozen=True)
 class Judged:
     """A bake up to its panes, as it was found to be. error: relative, with `budget.exit_rays` rays at each exit; noise: the
-    part of it that falls with those rays; doubt: the standard error of `error`, which is the mean over but some lamps."""
+    part of it that falls with those rays."""
 
     budget: Budget
     error: float
     noise: float
-    doubt: float = 0.0
 
 
 def sized(budget: Budget, entries: int, settings: Settings) -> Budget:
@@ -209,7 +212,7 @@ def refine(settings: Settings, judged: list[Judged], at_points: bool, whole: boo
     as well. Most of what is asked for may come from the entries' size, with which all but the gather's noise falls.
     """
     last = judged[-1]
-    target = surely(settings.error_target, last.error, last.doubt)
+    target = SURE * settings.error_target
     size = beyond_noise(last)
     noise = OF_POINTS * target if at_points else OF_NOISE * target
     enough = size**2 + noise**2 <= target**2
@@ -239,21 +242,15 @@ def _asked(judged, goal):
     return float(np.exp((size.mean() + fall * entries.mean() - np.log(goal)) / fall))
 
 
-def surely(target: float, error: float, doubt: float) -> float:
-    """The error that keeps other lamps below the target too, by one standard error. A few lamps that err many times as much
-    as all others leave it in more doubt than many that err alike."""
-    return target * error / (error + doubt) if doubt > 0 else target
-
-
 def beyond_noise(judged: Judged) -> float:
     """The part of the error that more rays leave."""
     return max(judged.error**2 - judged.noise**2, (0.3 * judged.error) ** 2) ** 0.5
 
 
-def more_points(settings: Settings, budget: Budget, error: float, points: float, doubt: float = 0.0) -> Budget | None:
+def more_points(settings: Settings, budget: Budget, error: float, points: float) -> Budget | None:
     """The budget with the points that the error asks for; None where there are enough, or as many as can be. points: the
-    part of `error` that comes from between them; doubt: see `Judged`."""
-    target = surely(settings.error_target, error, doubt)
+    part of `error` that comes from between them."""
+    target = SURE * settings.error_target
     if error <= target or budget.points >= MOST_POINTS or settings.points is not None:
         return None
     goal = max((GOAL * target) ** 2 - (error**2 - points**2), (0.5 * OF_POINTS * target) ** 2) ** 0.5

@@ -13,6 +13,7 @@ import numpy as np
 from ..footprint import within
 from ..planner import (
     MOST_RAYS,
+    SURE,
     Budget,
     Judged,
     Settings,
@@ -24,7 +25,6 @@ from ..planner import (
     part_of,
     plan,
     refine,
-    surely,
 )
 from ..scene import Light, Scene
 from .clock import Clock
@@ -106,7 +106,7 @@ def settle(scene: Scene, settings: Settings, clock: Clock, kept: Kept) -> Settle
     wanted = refine(settings, judged, surfaces.at_points)
     made.budget = replace(made.budget, exit_rays=wanted.exit_rays)
     last = judged[-1]
-    met = beyond_noise(last) <= surely(settings.error_target, last.error, last.doubt)
+    met = beyond_noise(last) <= SURE * settings.error_target
     tight = _within(wanted, settings, surfaces).entries < wanted.entries
     return Settled(made, "error" if met else "memory" if tight else "most", judged)
 
@@ -147,7 +147,7 @@ def _try(
         return made, None
     verdict = judge(made, settings.seed, tick=clock.pulse)
     clock.stop()
-    return made, None if verdict is None else Judged(made.budget, verdict.error, verdict.exits, verdict.doubt)
+    return made, None if verdict is None else Judged(made.budget, verdict.error, verdict.exits)
 
 
 def _in_time(wanted: Budget, settings: Settings, took: Took, places: int, clock: Clock) -> Budget | None:

@@ -175,12 +175,12 @@ def _enough_points(made: Prepared, settings: Settings, bound: str, clock: Clock)
     stored, verdict = _judged_points(made, settings, clock)
     if verdict is None or bound in ("given", "time") or settings.time_budget:
         return stored, verdict
-    while (better := more_points(settings, made.budget, verdict.error, verdict.exits, verdict.doubt)) is not None:
+    while (better := more_points(settings, made.budget, verdict.error, verdict.exits)) is not None:
         looked_at = where_judged(made)
         while better is not None:
             made.budget = looked_at.budget = better
             tried = _judged_points(looked_at, settings, clock)[1]
-            better = tried and more_points(settings, better, tried.error, tried.exits, tried.doubt)
+            better = tried and more_points(settings, better, tried.error, tried.exits)
         stored, verdict = _judged_points(made, settings, clock)
     return stored, verdict
 

@@ -60,11 +60,6 @@ class Verdict:
     normals: np.ndarray
     squares: np.ndarray
 
-    @property
-    def doubt(self) -> float:
-        """Standard error of `error`: other lamps err otherwise."""
-        return float(self.each.std(ddof=1) / np.sqrt(len(self.each))) if len(self.each) > 1 else 0.0
-
 
 @dataclass(frozen=True)
 class Looks:

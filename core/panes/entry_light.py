@@ -114,17 +114,50 @@ class EntryLight:
         count = len(self.surface)
         found = irradiance(light, *self._few, self.tracer.visibility, 1, self.seed)
         found = found.reshape(self.few, count, *found.shape[1:])
-        moment = np.einsum("kn,nkd->nd", _grey(found), self._few_apart) / np.float32(self.few)
+        grey = _grey(found)
+        moment = np.einsum("kn,nkd->nd", grey, self._few_apart) / np.float32(self.few)
+        lit = (grey > 0).mean(axis=0)
         found = found.mean(axis=0)
         near, depth = self._near(light)
+        edge = self._edges(lit, near)
+        if len(edge):
+            found, edge = self._across(light, edge, lit, found, moment)
+            self._sharing.share(found, moment, edge, np.ones(len(edge), np.float32))
         if len(near):
             closely, moment[near] = self._closely(light, near)
-            # tints are known where any ray was traced
-            if closely.ndim > found.ndim:
-                found = np.repeat(found[:, None], 3, axis=1)
-            found[near] = closely if closely.ndim == found.ndim else closely[:, None]
+            found = _with(found, near, closely)
             self._sharing.share(found, moment, near, np.minimum(2 * depth, 1))
         return found, moment
+
+    def _edges(self, lit, near):
+        """(m,) entries that a shadow's edge crosses, and those beside them, if they are not near the lamp; lit: (n,) part of
+        each entry's few places that see the lamp."""
+        some = np.flatnonzero(lit)
+        beside = self._sharing.beside[some]
+        differs = (lit.take(beside, mode="clip") != lit[some, None]) & (beside >= 0)
+        edge = (lit > 0) & (lit < 1)
+        edge[some[differs.any(axis=1)]] = True
+        edge[beside[differs]] = True
+        edge[near] = False
+        return np.flatnonzero(edge)
+
+    def _across(self, light, edge, lit, found, moment):
+        """Look at entries (m,) from more places, together from no more than all entries are. Returns the irradiance of all,
+        and those that the edge does cross; moments are mended in place."""
+        each = min(self.each, len(lit) * self.few // len(edge))
+        if each > self.few:
+            position, normal = self._position[edge, :each], self._normal[edge, :each]
+            places = position.reshape(-1, 3), normal.reshape(-1, 3)
+            closely = irradiance(light, *places, self.tracer.visibility, 1, self.seed)
+            closely = closely.reshape(len(edge), each, *closely.shape[1:])
+            grey = _grey(closely)
+            lit[edge] = (grey > 0).mean(axis=1)
+            moment[edge] = np.einsum("nk,nkd->nd", grey, _apart(position)) / np.float32(each)
+            closely = closely.mean(axis=1)
+            found = _with(found, edge, closely)
+        elif self.few < self.each:
+            edge = edge[:0]
+        return found, edge[(lit[edge] > 0) & (lit[edge] < 1)]
 
     @cached_property
     def _sharing(self):
@@ -181,6 +214,14 @@ class EntryLight:
         own = np.repeat(np.arange(len(entries)), counts)
         angle, *moment = (np.bincount(own, v, len(entries)) for v in (parts[0], *parts[1].T))
         return angle, np.stack(moment, 1) + (place - self.surface.middle[entries]) * angle[:, None]
+
+
+def _with(found, rows, values):
+    """Irradiance (n,) or (n, 3) with values (m,) or (m, 3) at some rows; tints are known where any ray was traced."""
+    if values.ndim > found.ndim:
+        found = np.repeat(found[:, None], 3, axis=1)
+    found[rows] = values if values.ndim == found.ndim else values[:, None]
+    return found
 
 
 def _apart(position):
