@@ -429,12 +429,17 @@ def test_interrupted_command(file, capsys, monkeypatch):
 @pytest.fixture
 def seen(baked, tmp_path):
     """Renders see the block's top in no light but ours: by itself the lamp reaches the camera alone, which has no
-    surface. (Lightpanes takes no notice of light linking.)"""
+    surface. (Lightpanes takes no notice of light linking.) The lamp comes from low beside the block, whose top is a third
+    darker then, so that no frame passes for another, though a tiny bake with its few panes errs by a tenth."""
+    lamp = bpy.data.objects["Lamp"]
+    lamp.location = (-0.5, -0.2, -0.4)
+    lamp.keyframe_insert("location", frame=1)
+    baked.frame_set(2)
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     baked.collection.objects.link(camera)
     linked = bpy.data.collections.new("Lit")
     linked.objects.link(camera)
-    bpy.data.objects["Lamp"].light_linking.receiver_collection = linked
+    lamp.light_linking.receiver_collection = linked
     camera.location, camera.data.type, camera.data.ortho_scale = (0.3, 0.2, 0.5), "ORTHO", 0.4
     render = baked.render
     baked.camera, render.engine, baked.cycles.samples, baked.cycles.use_denoising = camera, "CYCLES", 4, False
@@ -468,8 +473,7 @@ def test_rendered_frames_show_their_own_light(seen, tmp_path, kept):
             light = load(tmp_path / f"irradiance_{frame:04d}.exr")[place].mean(axis=(0, 1))
             assert np.allclose(picture, light * (0.2, 0.4, 0.7) / np.pi, rtol=0.02)
             means.append(picture.mean())
-        # a fine bake says 0.14; more than twice the tolerance above, so that no frame passes for another
-        assert means[3] == pytest.approx(means[2] / 4, rel=0.01) and abs(means[0] / means[2] - 1) > 0.05
+        assert means[3] == pytest.approx(means[2] / 4, rel=0.01) and abs(means[0] / means[2] - 1) > 0.1
     assert seen.frame_current == 2
 
 

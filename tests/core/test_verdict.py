@@ -171,12 +171,13 @@ def test_parts_tell_where_an_error_is(made):
 
 
 def test_the_noise_of_exits_is_known_before_they_are(made):
-    """By what a gather of as many rays then has."""
-    rays = verdict.EVEN_RAYS
-    rows = gather_panes(made.gatherer, made.exits.samples, made.starts, made.tables, rays, 41)
-    found = judged(made, verdict.shown_by_texels(made, rows, made.starts))
+    """By what gathers of as many rays then have: each is known to within a fifth or so alone."""
+    rays, found = verdict.EVEN_RAYS, []
+    for seed in (41, 42, 43):
+        rows = gather_panes(made.gatherer, made.exits.samples, made.starts, made.tables, rays, seed)
+        found.append(judged(made, verdict.shown_by_texels(made, rows, made.starts)).exits)
     foreseen = verdict.judge(replace(made, budget=replace(made.budget, exit_rays=rays)), 0)
-    assert foreseen.exits == pytest.approx(found.exits, rel=0.4)
+    assert foreseen.exits == pytest.approx(np.sqrt(np.mean(np.square(found))), rel=0.25)
 
 
 def test_a_verdict_does_not_depend_on_threads(made):
