@@ -367,7 +367,11 @@ def test_runtime_needs_no_more_than_the_bake_holds(tmp_path):
 def test_a_lamp_behind_a_wall_and_tinted_glass():
     """The entries near the lamp face away from it, so that no ray says that light there is tinted."""
     baked = baked_room()[1]
-    tinted = SimpleNamespace(visibility=lambda origins, _: np.tile(np.float32([1, 0.5, 0]), (len(origins), 1)))
+    tinted = SimpleNamespace(
+        visibility=lambda origins, _: np.tile(np.float32([1, 0.5, 0]), (len(origins), 1)),
+        blocked=lambda origins, _: np.zeros(len(origins), bool),
+        offset=1e-4,
+    )
     behind = lamp((-0.9, 1.5, 1.25))
     found = EntryLight(baked.panes().surface, tinted).unit(behind)
     assert found.shape == (len(baked.panes().surface), 3) and found[:, 0].max() > 0

@@ -18,6 +18,7 @@ from lightpanes.core.planner import (
     FALL,
     MOST_ENTRIES,
     RAYS_FALL,
+    SURE,
     Judged,
     Settings,
     first_try,
@@ -229,7 +230,7 @@ def test_one_small_bake_tells_what_a_target_takes():
     """Where the error falls as it usually does."""
     look, settings = scene_whose_error_falls(FALL, 0.12, 0.01), Settings(error_target=0.05)
     budget = refine(settings, [look(first_try(settings, plan(room(), settings)))], False)
-    assert 0.8 * 0.05 < look(budget).error <= 0.05
+    assert 0.8 * SURE * 0.05 < look(budget).error <= SURE * 0.05
 
 
 @pytest.mark.parametrize("power", [0.4, 0.6, 0.9])
@@ -244,7 +245,7 @@ def test_rounds_end_at_the_target_and_not_far_below(power, target):
         judged.append(look(budget))
     error = look(budget).error
     if budget.entries < MOST_ENTRIES:
-        assert 0.6 * target < error <= target
+        assert 0.6 * SURE * target < error <= SURE * target
         # half the entries would not do
         if len(judged) > 1:
             assert look(replace(budget, entries=budget.entries // 2)).error > target
@@ -254,7 +255,7 @@ def test_rounds_end_at_the_target_and_not_far_below(power, target):
 def test_points_are_added_where_they_are_what_is_wrong():
     settings = Settings(error_target=0.05)
     budget = plan(room(), settings)
-    assert more_points(settings, budget, 0.049, 0.04) is None
+    assert more_points(settings, budget, SURE * 0.049, SURE * 0.04) is None
     more = more_points(settings, budget, 0.07, 0.06)
     assert 1.5 < more.points / budget.points <= 3
     assert more_points(replace(settings, points=budget.points), budget, 0.07, 0.06) is None
