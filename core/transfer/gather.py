@@ -113,10 +113,7 @@ class Gatherer:
             for start in range(0, rays, ROWS):
                 block = pattern[start : start + ROWS].astype(np.float32)
                 directions = product3(block, turn).reshape(len(block), count, 3)
-                ids = np.empty((len(block), count), np.int32)
-                for row in range(len(block)):
-                    ids[row] = self._land(origins, directions[row], flat, apart=apart)
-                consume(piece, ids)
+                consume(piece, self._land_all(origins, directions, flat, apart))
             done.add(piece.start)
             if tick is not None:
                 tick(rays * count)
@@ -160,23 +157,50 @@ class Gatherer:
 
     def lets_on(self, piece: np.ndarray) -> np.ndarray:
         """(n,) bool: at which of the patches' pieces rays may go on, straight or bent; −1, the sky, is none."""
-        clear = self._clear.take(piece, mode="wrap")
-        return clear if self._onward is None else clear | self._onward.bends(piece)
+        return self._clear.take(piece, mode="wrap") if self._onward is None else self._onward.meets(piece)
 
     @property
     def bends(self) -> bool:
         """Whether any rays are mirrored or refracted."""
         return self._onward is not None
 
-    def _land(self, origins, directions, flat, triangle=None, apart=False):
+    def _land_all(self, origins, directions, flat, apart):
+        """(m, n) ids of directions (m, n, 3) from origins (n, 3)."""
+        ids = np.empty(directions.shape[:2], np.int32)
+        if self._onward is None:
+            for row, ahead in enumerate(directions):
+                ids[row] = self._land(origins, ahead, flat)
+            return ids
+        piece = np.empty(ids.shape, np.int32)
+        for row, ahead in enumerate(directions):
+            piece[row] = self.bvh.closest(origins, ahead)
+        # few rays of a row meet mirrors or glass: those of all rows go on together
+        some = np.flatnonzero(self._onward.meets(piece))
+        row, point = np.divmod(some, len(origins))
+        ahead = directions[row, point]
+        below = None if flat is None else _below(flat[:, point], ahead)
+        piece.reshape(-1)[some], ahead, bent, lost = self._onward.follow(self.bvh, origins[point], ahead)
+        for k, first in enumerate(directions):
+            ids[k] = self._name(piece[k], first, flat)
+        found = self._name(piece.reshape(-1)[some], ahead, None)
+        found[lost] = self.miss - 1
+        if apart:
+            found[bent] += self.size
+        if below is not None:
+            found[below] = self.miss - 1
+        ids.reshape(-1)[some] = found
+        return ids
+
+    def _land(self, origins, directions, flat, triangle=None):
+        if self._onward is not None:
+            return self._land_all(origins, directions[None], flat, False)[0]
         if triangle is None:
             triangle = self.bvh.closest(origins, directions)
-        bent = lost = None
-        first = directions
-        if self._onward is not None:
-            triangle, directions, bent, lost = self._onward.follow(self.bvh, origins, directions, triangle)
-        elif self._any_clear:
+        if self._any_clear:
             triangle = self._pass_clear(origins, directions, triangle)
+        return self._name(triangle, directions, flat)
+
+    def _name(self, triangle, directions, flat):
         ids = self._front.take(triangle, mode="wrap")
         if self._any_two_sided:
             rows = np.flatnonzero(self._two_sided.take(triangle, mode="wrap"))
@@ -186,13 +210,8 @@ class Gatherer:
         if self.bins != (1, 1):
             rows = np.flatnonzero(triangle < 0)
             ids[rows] = self.miss + sky_bin(directions[rows], self.bins)
-        if lost is not None:
-            ids[lost] = self.miss - 1
-            if apart:
-                ids[bent] += self.size
         if flat is not None:
-            below = flat[0] * first[:, 0] + flat[1] * first[:, 1] + flat[2] * first[:, 2] <= 0
-            ids[below] = self.miss - 1
+            ids[_below(flat, directions)] = self.miss - 1
         return ids
 
     def _pass_clear(self, origins, directions, triangle):
@@ -221,6 +240,11 @@ class Gatherer:
             rows, start, ahead = rows[on], start[on] + ahead[on] * step, ahead[on]
         triangle[rows] = -1
         return triangle
+
+
+def _below(flat, directions):
+    """(n,) bool: which directions (n, 3) point below the surface, whose normals are (3, n)."""
+    return flat[0] * directions[:, 0] + flat[1] * directions[:, 1] + flat[2] * directions[:, 2] <= 0
 
 
 def turns(normal: np.ndarray, number: slice | np.ndarray, seed: int) -> np.ndarray:

@@ -86,21 +86,19 @@ class Onward:
         self._alpha = np.array(rough, np.float32)
         self._free = np.array([_free_part(alpha) for alpha in rough], np.float32)
 
-    def bends(self, piece: np.ndarray) -> np.ndarray:
-        """(n,) bool: which of the patches' pieces mirror or refract; −1, the sky, does not."""
-        return self._bends.take(piece, mode="wrap")
+    def meets(self, piece: np.ndarray) -> np.ndarray:
+        """Of piece's shape, bool: at which of the patches' pieces rays may go on; −1, the sky, is none."""
+        return self._meets.take(piece, mode="wrap")
 
     def follow(
-        self, bvh: Bvh, origins: np.ndarray, directions: np.ndarray, piece: np.ndarray
+        self, bvh: Bvh, origins: np.ndarray, directions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Piece and direction with which rays land at last, and (n,) bool each, those that were bent on the way and those
-        that land nowhere. piece: (n,) int32 that they meet first."""
-        bent, lost = np.zeros(len(piece), bool), np.zeros(len(piece), bool)
-        rows = np.flatnonzero(self._meets.take(piece, mode="wrap"))
-        if not len(rows):
-            return piece, directions, bent, lost
-        piece, directions = piece.copy(), directions.copy()
-        place, ahead = split(origins[rows]), split(directions[rows])
+        """(n,) int32 piece that rays land on at last and (n, 3) direction with which they do, and (n,) bool each, those that
+        were bent on the way and those that land nowhere. origins, directions: (n, 3) float32."""
+        bent, lost = np.zeros(len(origins), bool), np.zeros(len(origins), bool)
+        piece, directions = np.full(len(origins), -1, np.int32), directions.copy()
+        rows = np.arange(len(origins))
+        place, ahead = split(origins), split(directions)
         mask = np.zeros(len(rows), np.int64)
         for layer in range(LAYERS):
             if not len(rows):
