@@ -99,7 +99,8 @@ def make_transport(
     counts = np.zeros((count, columns), np.float32)
     share = CHUNK // places
     pending: dict[int, list[np.ndarray]] = {}
-    bent: dict[int, list[np.ndarray]] = {}
+    going: dict[int, list[np.ndarray]] = {}
+    bent: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     blocks = -(-each // 16)
 
     def consume(piece, ids):
@@ -107,9 +108,11 @@ def make_transport(
         row = (np.arange(ids.shape[1], dtype=np.int32) // places) * columns
         if gatherer.bends:
             ids, keys = _apart(ids, columns, count, piece.start // places, places)
-            bent.setdefault(piece.start, []).append(keys)
+            going.setdefault(piece.start, []).append(keys)
         blocks_here.append((ids + row).reshape(-1))
         if len(blocks_here) == blocks:
+            if gatherer.bends:
+                bent[piece.start] = np.unique(np.concatenate(going.pop(piece.start)), return_counts=True)
             keys = np.concatenate(pending.pop(piece.start))
             rows = -(-ids.shape[1] // places)
             first = piece.start // places
@@ -161,10 +164,12 @@ def _apart(ids, columns, count, first, places):
     return ids, (first + point[on] // places) * np.int64(count) + to[on]
 
 
-def _pairs_of(keys, count, rays):
-    """(p,) entry from, (p,) entry to and (p,) float64 part of the `rays` of each that `keys`, lists of them, are."""
-    each = [np.concatenate(found) for found in keys.values()]
-    keys, times = np.unique(np.concatenate([*each, np.zeros(0, np.int64)]), return_counts=True)
+def _pairs_of(found, count, rays):
+    """(p,) entry from, (p,) entry to and (p,) float64 part of the `rays` of each: of keys as from `_apart` and how often
+    each was found, for pieces of their own entries."""
+    keys, times = np.zeros(0, np.int64), np.zeros(0)
+    if found:
+        keys, times = (np.concatenate([found[k][part] for k in sorted(found)]) for part in (0, 1))
     return *np.divmod(keys, count), times / rays
 
 
