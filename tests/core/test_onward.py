@@ -5,8 +5,16 @@ import pytest
 from lightpanes.core.optics import unmasked, visible_facet
 from lightpanes.core.rays import Bvh
 from lightpanes.core.scene import Material, Optics
-from lightpanes.core.surface import make_patches
-from lightpanes.core.transfer import Gatherer, find_entries, make_gatherer, make_transport
+from lightpanes.core.surface import cut_patches, make_patches
+from lightpanes.core.transfer import (
+    ElementTransport,
+    Gatherer,
+    find_elements,
+    find_entries,
+    link_elements,
+    make_gatherer,
+    make_transport,
+)
 from lightpanes.core.transfer.onward import opaque_part, passing
 
 from .caustic_scenes import BLACK, MIRROR, WHITE, ball, floor, glass, panel, staged
@@ -215,3 +223,21 @@ def _plain(made):
 def test_what_glows_is_left_alone():
     glowing = Material("Glowing", BLACK, (1, 1, 1), optics=Optics(mirror=WHITE, mirror_edge=WHITE))
     assert passing(closed(middle_ball(), material=glowing)) is None
+
+
+@pytest.mark.parametrize("material", [MIRROR, glass()])
+def test_elements_keep_what_mirrors_and_glass_pass_on(material):
+    made = closed(middle_ball(), material=material)
+    patches = make_patches(made, 200)
+    finer, patches, owner = cut_patches(made, patches, 800)
+    bvh = Bvh(finer.corners)
+    pilot = patches.sample(made, np.arange(len(patches)), 1)
+    entries, _, is_buried = find_entries(made, patches, bvh, pilot, OFFSET)
+    elements = find_elements(made, finer, owner, entries, is_buried)
+    whole = make_transport(entries, make_gatherer(made, patches, entries, bvh, OFFSET), 512)
+    links = link_elements(entries, elements, whole, make_gatherer(made, finer, elements.sides, bvh, OFFSET), 512)
+    walls = made.triangle_object[elements.sides.places.triangle].reshape(len(elements), -1)[:, 0] == 0
+    grey = np.float32(0.5) * walls[:, None]
+    light = ElementTransport(elements, whole, links).solve(grey, walls[:, None].astype(np.float32))[walls, 0]
+    assert np.average(light, weights=elements.sides.area[walls]) == pytest.approx(2, rel=0.01)
+    assert np.abs(light / 2 - 1).mean() < 0.02
