@@ -131,8 +131,8 @@ def uneven_light(made: Prepared, places: SurfaceSamples, fields: EntryFields, ra
         flat = np.repeat(places.flat[piece], rays, axis=0)
         origins = np.repeat(places.position[piece], rays, axis=0) + flat * offset
         ids, hits = gatherer.meet(np.ascontiguousarray(origins), np.ascontiguousarray(directions), flat.T)
-        # through glass nothing says where a ray landed: as if its entry shone evenly
-        known = np.flatnonzero((ids < len(entries)) & (hits.triangle >= 0) & ~gatherer.is_clear(hits.triangle))
+        # through glass and off mirrors nothing says where a ray landed: as if its entry shone evenly
+        known = np.flatnonzero((ids < len(entries)) & (hits.triangle >= 0) & ~gatherer.lets_on(hits.triangle))
         known = known[hits.distance[known] < reach[ids[known]]]
         own, met = ids[known], hits.triangle[known]
         inside = np.stack([1 - hits.u[known] - hits.v[known], hits.u[known], hits.v[known]], 1)

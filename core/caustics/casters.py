@@ -53,3 +53,13 @@ def is_caster(material: Material) -> bool:
     facing = ((optics.ior - 1) / (optics.ior + 1)) ** 2 if optics.ior > 0 else 0.0
     strongest = max(max(optics.mirror), max(optics.glass), facing * max(optics.gloss))
     return strongest >= max(STRONG, max(material.albedo))
+
+
+def passes_on(material: Material) -> bool:
+    """Whether bounced light goes on at a material by its lobes: casters, and metals however rough. Not what glows, whose
+    light is that of all rays that meet it."""
+    optics = material.optics
+    if optics is None or max(material.emission) > 0:
+        return False
+    metal = max(optics.mirror) >= STRONG and not max(optics.glass) and not max(optics.gloss)
+    return metal or is_caster(material)

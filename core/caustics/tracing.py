@@ -14,9 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..optics import fresnel, reflect, refract, schlick
+from ..optics import fresnel, schlick
 from ..threads import in_threads
-from ..vectors import dot, normalised
+from ..vectors import dot
+from .bending import onward
 from .surfaces import BENDS, LANDS, PASSES, Surfaces
 
 CHUNK = 16_384
@@ -238,36 +239,13 @@ def _pass(s, result, rows, o, d, power, mask, path, met, tri, distance, some, ow
 
 def _bend(s, result, rows, d, power, mask, splits, path, met, tri, u, v, distance, family, highest):
     """One event on smooth surfaces: the new origins, directions, powers, media, splits and paths."""
-    shape = s.shape(tri)
-    place = shape[0:3] + shape[3:6] * u + shape[6:9] * v
-    normal = normalised(shape[9:12] + shape[12:15] * u + shape[15:18] * v)
-    flat = shape[18:21]
-    owner = s.object[tri]
-    bit = s.bit[owner]
-    side = dot(d, flat)
-    enters = side < 0
-    turn = np.where(enters, _F(1), _F(-1))
-    normal, flat = normal * turn, flat * turn
-    cosine = -dot(d, normal)
-    grazing = cosine <= 1e-5
-    if grazing.any():
-        # smooth normals of a coarse mesh turn away before the surface does
-        normal = np.where(grazing, flat, normal)
-        cosine = -dot(d, normal)
-    within = mask | bit
-    without = mask & ~bit
-    before, behind = s.inside(np.where(enters, mask, within)), s.inside(np.where(enters, within, without))
-    own = splits >= highest[rows]
-    if before.any() and s.absorption.any():
-        power = _dimmed(s, result, rows, power, before, distance, own)
     mirror, edge, glass, gloss = s.optics(tri)
-    # what encloses nothing has no inside that a mask could tell: the side that is met says where the glass is
-    sheet = (bit == 0) & (glass.max(axis=0) > 0)
-    before_ior = np.where(sheet & ~enters, s.own_ior[owner], s.ior[before])
-    behind_ior = np.where(enters & (bit == 0), s.own_ior[owner], s.ior[behind])
-    relative = before_ior / behind_ior
-    reflected, inner = fresnel(cosine, relative)
-    back = schlick(mirror, edge, cosine) + gloss * reflected
+    at = s.crossing(tri, u, v, d, mask, glass.max(axis=0) > 0)
+    own = splits >= highest[rows]
+    if at.before.any() and s.absorption.any():
+        power = _dimmed(s, result, rows, power, at.before, distance, own)
+    reflected, inner = fresnel(at.cosine, at.relative)
+    back = schlick(mirror, edge, at.cosine) + gloss * reflected
     # an index that is equal on both sides is no surface, though a tint stays
     through = glass * (1 - reflected)
     straight = np.zeros(len(rows), bool)
@@ -295,22 +273,9 @@ def _bend(s, result, rows, d, power, mask, splits, path, met, tri, u, v, distanc
     absorbed = (power * (1 - weight - other - aside)).mean(axis=0)
     result.absorbed[rows] += np.where(own, np.maximum(absorbed, 0), 0)
     power = power * weight
-    bounced = reflect(d, normal)
-    passed = np.where(straight, d, refract(d, normal, cosine, inner, relative))
-    ahead = np.where(mirrors, bounced, passed)
-    # a smooth normal may send the ray to the wrong side of the flat face; the face's own does not
-    wrong = ((dot(ahead, flat) > 0) != mirrors) & (mirrors | ~straight)
-    if wrong.any():
-        steep = -dot(d[:, wrong], flat[:, wrong])
-        inner_flat = fresnel(steep, relative[wrong])[1]
-        ahead[:, wrong] = np.where(
-            mirrors[wrong],
-            reflect(d[:, wrong], flat[:, wrong]),
-            refract(d[:, wrong], flat[:, wrong], steep, inner_flat, relative[wrong]),
-        )
-    ahead = normalised(ahead)
-    mask = np.where(mirrors | straight, mask, np.where(enters, within, without))
-    place = place + flat * np.where(mirrors, s.offset, -s.offset)
+    ahead = onward(d, at, inner, mirrors, straight)
+    mask = np.where(mirrors | straight, mask, np.where(at.enters, at.within, at.without))
+    place = at.place + at.flat * np.where(mirrors, s.offset, -s.offset)
     event = np.where(mirrors, np.where(split, 0, 1), 2)
     path = path * 1000003 + s.group[tri] * 4 + event + 11
     return place, ahead, power, mask, splits_after, path

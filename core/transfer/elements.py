@@ -72,7 +72,7 @@ def find_elements(
     side, entry = side[order], entry[order]
     each = np.repeat(side, PLACES)
     places = patches.sample(scene, (each // 2).astype(np.int32), seed + 6).on_side(scene, each % 2 == 1)
-    sides = entries_of_sides(patches, side, places, is_buried(places).reshape(-1, PLACES))
+    sides = entries_of_sides(scene, patches, side, places, is_buried(places).reshape(-1, PLACES))
     area = np.bincount(entry, sides.area, len(entries))
     return Elements(sides, entry, (sides.area / area[entry]).astype(np.float32))
 

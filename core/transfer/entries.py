@@ -16,6 +16,7 @@ from ..rays import Bvh
 from ..scene import Scene
 from ..surface import Patches, SurfaceSamples
 from .gather import ROWS, Gatherer
+from .onward import opaque_part
 from .reach import flood
 
 PLACES = 16
@@ -145,7 +146,7 @@ def find_entries(
     each = np.repeat(sides, PLACES)
     places = _places(scene, patches, each // 2, each % 2 == 1, seed + 5)
     hidden = pilot(places, 300)[1].reshape(-1, PLACES)
-    return entries_of_sides(patches, sides, places, hidden), buried, lambda points: pilot(points, 400)[1]
+    return entries_of_sides(scene, patches, sides, places, hidden), buried, lambda points: pilot(points, 400)[1]
 
 
 def _significant(hits, patches):
@@ -158,7 +159,9 @@ def _significant(hits, patches):
     return hits > SIGNIFICANT * average * area
 
 
-def entries_of_sides(patches: Patches, sides: np.ndarray, places: SurfaceSamples, hidden: np.ndarray) -> Entries:
+def entries_of_sides(
+    scene: Scene, patches: Patches, sides: np.ndarray, places: SurfaceSamples, hidden: np.ndarray
+) -> Entries:
     """Entries on sides (n,) of patches, 2p the front of patch p and 2p + 1 its back. places: n × PLACES on them; hidden:
     (n, PLACES) bool, those inside other things."""
     count = len(sides)
@@ -175,8 +178,8 @@ def entries_of_sides(patches: Patches, sides: np.ndarray, places: SurfaceSamples
     index = np.arange(count, dtype=np.int32)
     front_id[patch[~back]] = index[~back]
     back_id[patch[back]] = index[back]
-    # rays pass with the odds of the mean transmission, so those that stay see only the opaque part
-    opaque = np.maximum(1 - patches.transmission[patch].mean(axis=1, keepdims=True), 1e-3)
+    # rays go on with the odds of the mean, so those that stay see only the opaque part
+    opaque = opaque_part(scene, patches)[patch, None]
     sign = np.where(back, -1, 1).astype(np.float32)[:, None]
     return Entries(
         patch=patch,
@@ -186,7 +189,7 @@ def entries_of_sides(patches: Patches, sides: np.ndarray, places: SurfaceSamples
         normal=patches.normal[patch] * sign,
         albedo=np.clip(patches.albedo[patch] / opaque, 0, MAX_ALBEDO).astype(np.float32),
         radiosity=(np.pi * patches.emission[patch] / opaque).astype(np.float32),
-        opaque=opaque[:, 0].astype(np.float32),
+        opaque=opaque[:, 0],
         front_id=front_id,
         back_id=back_id,
         places=places,

@@ -17,6 +17,7 @@ from ..sampling import cosine_hemisphere, frame, hammersley_points, hash_uniform
 from ..scene import Scene
 from ..surface import Patches, SurfaceSamples
 from ..threads import in_threads
+from .onward import Onward, passing
 
 ROWS = 16
 """Directions of the pattern handled together: their ids stay in the second-level cache."""
@@ -42,7 +43,8 @@ class Gatherer:
 
     front, back: (p,) int32 id of each piece's two sides. miss: id of the sky's first bin; a sky with
     `bins` = (rows, columns) > (1, 1) has one id for each direction bin from `miss` on. bare: (p,) bool of the
-    fronts and backs that have no entry.
+    fronts and backs that have no entry. bends: whether rays go on by mirrors and glass; else glass lets them straight on
+    and metal stops them.
     """
 
     def __init__(
@@ -56,6 +58,7 @@ class Gatherer:
         bins: tuple[int, int] = (1, 1),
         offset: float = 0.0,
         bare: tuple[np.ndarray, np.ndarray] | None = None,
+        bends: bool = False,
     ):
         self.bvh = bvh
         self.miss = miss
@@ -71,11 +74,13 @@ class Gatherer:
         self._flat = cross.astype(np.float32)
         self._patches = patches
         self._bare = bare
-        self._transmission = Transmission(scene)
+        mirrors = passing(scene) if bends else None
+        self._transmission = Transmission(scene, mirrors)
         clear = self._transmission.see_through[patches.parent]
         self._clear = np.append(clear, False)
         self._any_clear = bool(clear.any())
-        self._tracer = Tracer(scene, threads=1) if self._any_clear else None
+        self._tracer = Tracer(scene, threads=1, solid=mirrors) if self._any_clear else None
+        self._onward = None if mirrors is None else Onward(scene, patches, mirrors, self._transmission, offset)
 
     def gather(
         self,
@@ -86,13 +91,15 @@ class Gatherer:
         tick: Callable[[int], None] | None = None,
         threads: int | None = None,
         done: set[int] | None = None,
+        apart: bool = False,
     ) -> None:
         """Shoot `rays` cosine rays from each point.
 
         consume(points' slice, ids (rows, m) int32) gets blocks of at most ROWS rays of a chunk of points;
         the blocks of one slice come in order from one thread. tick(rays done) follows each chunk; an
         exception that it raises ends the gather. done: first points of the chunks that are finished; those in it are
-        not gathered again, so that a gather can go on where another has ended.
+        not gathered again, so that a gather can go on where another has ended. apart: whether rays that mirrors and glass
+        have bent have ids of their own, `size` more.
         """
         # rays below the surface carry nothing, as in Cycles; only smooth shading has such rays
         smooth = bool((np.einsum("nd,nd->n", points.normal, points.flat) < 0.9999).any())
@@ -106,10 +113,7 @@ class Gatherer:
             for start in range(0, rays, ROWS):
                 block = pattern[start : start + ROWS].astype(np.float32)
                 directions = product3(block, turn).reshape(len(block), count, 3)
-                ids = np.empty((len(block), count), np.int32)
-                for row in range(len(block)):
-                    ids[row] = self._land(origins, directions[row], flat)
-                consume(piece, ids)
+                consume(piece, self._land_all(origins, directions, flat, apart))
             done.add(piece.start)
             if tick is not None:
                 tick(rays * count)
@@ -151,15 +155,52 @@ class Gatherer:
         ids, hits = self.meet(origins, directions, flat)
         return ids, np.where(hits.triangle < 0, np.inf, hits.distance)
 
-    def is_clear(self, piece: np.ndarray) -> np.ndarray:
-        """(n,) bool: which of the patches' pieces let light straight through; −1, the sky, does not."""
-        return self._clear.take(piece, mode="wrap")
+    def lets_on(self, piece: np.ndarray) -> np.ndarray:
+        """(n,) bool: at which of the patches' pieces rays may go on, straight or bent; −1, the sky, is none."""
+        return self._clear.take(piece, mode="wrap") if self._onward is None else self._onward.meets(piece)
+
+    @property
+    def bends(self) -> bool:
+        """Whether any rays are mirrored or refracted."""
+        return self._onward is not None
+
+    def _land_all(self, origins, directions, flat, apart):
+        """(m, n) ids of directions (m, n, 3) from origins (n, 3)."""
+        ids = np.empty(directions.shape[:2], np.int32)
+        if self._onward is None:
+            for row, ahead in enumerate(directions):
+                ids[row] = self._land(origins, ahead, flat)
+            return ids
+        piece = np.empty(ids.shape, np.int32)
+        for row, ahead in enumerate(directions):
+            piece[row] = self.bvh.closest(origins, ahead)
+        # few rays of a row meet mirrors or glass: those of all rows go on together
+        some = np.flatnonzero(self._onward.meets(piece))
+        row, point = np.divmod(some, len(origins))
+        ahead = directions[row, point]
+        below = None if flat is None else _below(flat[:, point], ahead)
+        piece.reshape(-1)[some], ahead, bent, lost = self._onward.follow(self.bvh, origins[point], ahead)
+        for k, first in enumerate(directions):
+            ids[k] = self._name(piece[k], first, flat)
+        found = self._name(piece.reshape(-1)[some], ahead, None)
+        found[lost] = self.miss - 1
+        if apart:
+            found[bent] += self.size
+        if below is not None:
+            found[below] = self.miss - 1
+        ids.reshape(-1)[some] = found
+        return ids
 
     def _land(self, origins, directions, flat, triangle=None):
+        if self._onward is not None:
+            return self._land_all(origins, directions[None], flat, False)[0]
         if triangle is None:
             triangle = self.bvh.closest(origins, directions)
         if self._any_clear:
             triangle = self._pass_clear(origins, directions, triangle)
+        return self._name(triangle, directions, flat)
+
+    def _name(self, triangle, directions, flat):
         ids = self._front.take(triangle, mode="wrap")
         if self._any_two_sided:
             rows = np.flatnonzero(self._two_sided.take(triangle, mode="wrap"))
@@ -170,8 +211,7 @@ class Gatherer:
             rows = np.flatnonzero(triangle < 0)
             ids[rows] = self.miss + sky_bin(directions[rows], self.bins)
         if flat is not None:
-            below = flat[0] * directions[:, 0] + flat[1] * directions[:, 1] + flat[2] * directions[:, 2] <= 0
-            ids[below] = self.miss - 1
+            ids[_below(flat, directions)] = self.miss - 1
         return ids
 
     def _pass_clear(self, origins, directions, triangle):
@@ -200,6 +240,11 @@ class Gatherer:
             rows, start, ahead = rows[on], start[on] + ahead[on] * step, ahead[on]
         triangle[rows] = -1
         return triangle
+
+
+def _below(flat, directions):
+    """(n,) bool: which directions (n, 3) point below the surface, whose normals are (3, n)."""
+    return flat[0] * directions[:, 0] + flat[1] * directions[:, 1] + flat[2] * directions[:, 2] <= 0
 
 
 def turns(normal: np.ndarray, number: slice | np.ndarray, seed: int) -> np.ndarray:

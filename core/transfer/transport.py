@@ -88,7 +88,8 @@ def make_transport(
     seed: int = 0,
     tick: Callable[[int], None] | None = None,
 ) -> Transport:
-    """Form factors: near pairs by where `rays` cosine rays of each entry land, far pairs by sampling the pair.
+    """Form factors: near pairs by where `rays` cosine rays of each entry land, far pairs by sampling the pair; what comes
+    by mirrors and glass, by such rays alone.
 
     Reciprocity, A_i F_ij = A_j F_ji, makes one estimate of both directions.
     """
@@ -98,13 +99,20 @@ def make_transport(
     counts = np.zeros((count, columns), np.float32)
     share = CHUNK // places
     pending: dict[int, list[np.ndarray]] = {}
+    going: dict[int, list[np.ndarray]] = {}
+    bent: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     blocks = -(-each // 16)
 
     def consume(piece, ids):
         blocks_here = pending.setdefault(piece.start, [])
         row = (np.arange(ids.shape[1], dtype=np.int32) // places) * columns
+        if gatherer.bends:
+            ids, keys = _apart(ids, columns, count, piece.start // places, places)
+            going.setdefault(piece.start, []).append(keys)
         blocks_here.append((ids + row).reshape(-1))
         if len(blocks_here) == blocks:
+            if gatherer.bends:
+                bent[piece.start] = np.unique(np.concatenate(going.pop(piece.start)), return_counts=True)
             keys = np.concatenate(pending.pop(piece.start))
             rows = -(-ids.shape[1] // places)
             first = piece.start // places
@@ -112,11 +120,13 @@ def make_transport(
             np.multiply(found, np.float32(1 / (each * places)), out=counts[first : first + rows], casting="unsafe")
 
     assert share * places == CHUNK
-    gatherer.gather(points, each, seed + 32, consume, tick)
+    gatherer.gather(points, each, seed + 32, consume, tick, apart=gatherer.bends)
     between = counts[:, :count]
     sky = np.ascontiguousarray(counts[:, count + 1 :])
     # what the hemisphere's rays say about the sum over all entries is exact where no ray escapes
     reach = between.sum(axis=1)
+    roundabout = _pairs_of(bent, count, each * places)
+    reach += np.bincount(roundabout[0], roundabout[2], count).astype(np.float32)
     samples = [points.take(np.arange(count) * places + k) for k in range(PAIR_SAMPLES)]
     size = entries.span()
     terms = sample_pairs(samples, size, gatherer.offset, gatherer.visible, tick)
@@ -135,8 +145,32 @@ def make_transport(
             between[rows, cols] = mean * area[cols]
             between[cols, rows] = mean.T * area[rows]
     between = np.ascontiguousarray(between)
+    row, col, part = roundabout
+    mean = (part / (area[row] + area[col])).astype(np.float32)
+    between[row, col] += mean * area[col]
+    between[col, row] += mean * area[row]
     _balance(between, reach, each * places)
     return Transport(between, sky)
+
+
+def _apart(ids, columns, count, first, places):
+    """Ids (rows, m) without those of rays that were bent and landed on entries, dead ends in their stead; and (k,) int64
+    entry from × count + entry to of these. first: the entry of the first `places` of the m points."""
+    row, point = np.nonzero(ids >= columns)
+    to = ids[row, point] - columns
+    on = to < count
+    ids = ids.copy()
+    ids[row, point] = np.where(on, count, to)
+    return ids, (first + point[on] // places) * np.int64(count) + to[on]
+
+
+def _pairs_of(found, count, rays):
+    """(p,) entry from, (p,) entry to and (p,) float64 part of the `rays` of each: of keys as from `_apart` and how often
+    each was found, for pieces of their own entries."""
+    keys, times = np.zeros(0, np.int64), np.zeros(0)
+    if found:
+        keys, times = (np.concatenate([found[k][part] for k in sorted(found)]) for part in (0, 1))
+    return *np.divmod(keys, count), times / rays
 
 
 def _balance(between: np.ndarray, reach: np.ndarray, rays: int) -> None:
@@ -172,7 +206,7 @@ def make_gatherer(
     A side that no path needs shares its other side's entry.
     """
     front, back, bare = _sides(patches, entries)
-    return Gatherer(scene, patches, bvh, front, back, len(entries) + 1, bins, offset, bare)
+    return Gatherer(scene, patches, bvh, front, back, len(entries) + 1, bins, offset, bare, True)
 
 
 def make_piece_gatherer(
@@ -184,7 +218,9 @@ def make_piece_gatherer(
     """
     front, back, bare = _sides(patches, entries)
     piece = 2 * np.arange(len(front), dtype=np.int32)
-    gatherer = Gatherer(scene, patches, bvh, piece, piece + (front != back), 2 * len(front) + 1, bins, offset, bare)
+    gatherer = Gatherer(
+        scene, patches, bvh, piece, piece + (front != back), 2 * len(front) + 1, bins, offset, bare, True
+    )
     return gatherer, np.stack([front, back], 1).reshape(-1)
 
 

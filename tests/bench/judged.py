@@ -112,7 +112,9 @@ def judging_lamps(scene: Scene, count: int = LAMPS) -> list[Light]:
 
 def judge(scene: Scene, result, known: list[Truth]) -> list[metrics.Comparison]:
     """A bake's light against each truth."""
-    relighter = Relighter(result.panes(), Tracer(scene))
+    focusing = casters(scene)
+    # as in Cycles, what focuses a lamp's light casts a shadow of it
+    relighter = Relighter(result.panes(), Tracer(scene, solid=None if focusing is None else focusing.triangles))
     steady = relighter.relight(())[..., :3].copy()
     whole = ~half_buried(scene, result)
     found = []
