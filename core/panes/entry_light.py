@@ -46,8 +46,8 @@ class EntrySurface:
         """(n,) float32 part of each entry that nothing stands on: places that are left stand in for others, in turns."""
         each = len(self.position) // max(len(self), 1)
         place = self.position.reshape(len(self), each, 3)
-        again = (place[:, 1:] == place[:, :1]).all(axis=2)
-        return np.where(again.any(axis=1), again.argmax(axis=1) + 1, each).astype(np.float32) / np.float32(max(each, 1))
+        again = np.pad((place[:, 1:] == place[:, :1]).all(axis=2), ((0, 0), (0, 1)), constant_values=True)
+        return (again.argmax(axis=1) + 1).astype(np.float32) / np.float32(max(each, 1))
 
     @cached_property
     def middle(self) -> np.ndarray:

@@ -126,9 +126,9 @@ class Sharing:
         moment[rows] -= np.float32(1 - LEFT) * (carried * (part[lit] * grey[lit])[:, None]).astype(np.float32)
         scale = weight * (self.area[rows, None] / np.maximum(self.area[to], 1e-300))
         given = found[rows].reshape(len(rows), -1)
-        lost = given * weight.sum(axis=1, keepdims=True).astype(np.float32)
+        kept = given * np.maximum(1 - weight.sum(axis=1, keepdims=True), 0).astype(np.float32)
         gained = (given[:, None] * scale[..., None].astype(np.float32)).reshape(-1, given.shape[1])
-        found[rows] -= lost.reshape(found[rows].shape)
+        found[rows] = kept.reshape(-1, *found.shape[1:])
         np.add.at(found, to.reshape(-1), gained.reshape(-1, *found.shape[1:]))
 
     def _weights(self, rows, centre):
@@ -141,9 +141,8 @@ class Sharing:
         u, v = (np.einsum("md,md->m", centre, axis)[:, None] for axis in (side, across))
         square = np.maximum(x * x + y * y, _TINY)
         # one alone, as near as it gets
-        single = np.clip((x * u + y * v) / square, 0, 1)
+        single = np.where(beside < 0, 0, np.clip((x * u + y * v) / square, 0, 1))
         alone = OFF * ((u - single * x) ** 2 + (v - single * y) ** 2) + single * square
-        alone[beside < 0] = np.inf
         # two whose triangle with the entry holds the middle: signed areas of triangles
         over, length = u * y - v * x, np.sqrt(square)
         both = x[:, _X] * y[:, _Y] - y[:, _X] * x[:, _Y]

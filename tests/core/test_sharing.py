@@ -10,7 +10,7 @@ from lightpanes.core.panes.entry_light import EntryLight
 from lightpanes.core.panes.sharing import Sharing
 from lightpanes.core.scene import Material
 
-from .shapes import box, lamp, quad, quick, scene
+from .shapes import box, lamp, moved, quad, quick, scene
 from .uncompressed import WHITISH
 
 HALL = (4.0, 3.0, 2.0)
@@ -179,7 +179,47 @@ def test_what_is_beside_is_so_both_ways_and_on_one_surface(bare):
     assert (shared.beside[inside] >= 0).sum(axis=1).min() >= 5
 
 
-def test_one_entry_alone():
-    made = scene((*quad((0, 0, 0), (0.5, 0, 0), (0, 0.5, 0)), 0), materials=(WHITISH,), lights=[lamp((0.2, 0.2, 1))])
-    _, eyes = looks(made, 1)
-    assert len(eyes.surface) >= 1 and eyes.unit(lamp((0.1, 0.2, LOW), 1.0)).max() > 0
+def test_one_with_nothing_beside_it_keeps_its_light(monkeypatch):
+    """Each board is about an entry wide, and none lies on a surface with others."""
+    boards = [(*quad((2 * k, 0, 0.1 * k), (0.3, 0, 0), (0, 0.3, 0)), 0) for k in range(9)]
+    _, eyes = looks(scene(*boards, materials=(WHITISH,), lights=[lamp((0.2, 0.2, 1))]), 9)
+    alone = (Sharing(eyes.surface, eyes.tracer).beside < 0).all(axis=1)
+    assert alone.any()
+    for k in range(9):
+        light = lamp((2 * k + 0.1, 0.2, 0.1 * k + LOW), 1.0)
+        assert np.allclose(eyes.unit(light)[alone], unshared(eyes, light, monkeypatch)[0][alone], rtol=1e-6)
+
+
+@pytest.mark.parametrize("size", [1e-3, 1e3])
+def test_sharing_is_the_same_in_scenes_of_any_size(bare, size):
+    _, eyes = bare
+    _, other = looks(moved(hall(), size * np.eye(3)))
+    beside, there = (Sharing(e.surface, e.tracer).beside for e in (eyes, other))
+    # which of some that are as far comes first is chance
+    assert len(beside) == len(there) and (np.sort(beside) == np.sort(there)).mean() > 0.95
+    place = np.array((1.1, 0.93, LOW))
+    near = np.linalg.norm(eyes.surface.middle - place, axis=1) < 1
+    middles = []
+    for one, scale in ((eyes, 1), (other, size)):
+        flux = one.unit(lamp(scale * place, 1.0))[near] * one.surface.size[near].astype(float) ** 2
+        middles.append(flux @ one.surface.middle[near] / flux.sum() / scale)
+    assert np.allclose(*middles, atol=2e-3)
+
+
+def test_part_of_an_entry_below_a_thing():
+    """What is left of it is what it sends, and has its middle there."""
+    _, eyes = looks(hall((*box((1.1, 0.7, -0.5), (1.25, 0.85, 0.5)), 0)), 100)
+    surface = eyes.surface
+    each = surface.position.reshape(len(surface), -1, 3)
+    assert np.array_equal(surface.left * each.shape[1], [len(np.unique(place, axis=0)) for place in each])
+    # that part of the floor is cut away, or its entry has fewer places
+    some = surface.left < 1
+    assert np.allclose(surface.middle[some], each[some].mean(axis=1), atol=1e-5)
+
+
+def test_no_light_is_below_nothing_or_lost(bare):
+    _, eyes = bare
+    rng = np.random.default_rng(2)
+    for place in rng.uniform((0.005,) * 3, np.array(HALL) - 0.005, (40, 3)):
+        unit = eyes.unit(lamp(place, 1.0))
+        assert unit.min() >= 0 and unit @ eyes.surface.size.astype(float) ** 2 == pytest.approx(1, rel=0.03)
