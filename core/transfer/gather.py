@@ -164,6 +164,11 @@ class Gatherer:
         """Whether any rays are mirrored or refracted."""
         return self._onward is not None
 
+    @property
+    def both_ways(self) -> bool:
+        """Whether rays that are bent pass one way as easily as the other."""
+        return self._onward is None or self._onward.both_ways
+
     def _land_all(self, origins, directions, flat, apart):
         """(m, n) ids of directions (m, n, 3) from origins (n, 3)."""
         ids = np.empty(directions.shape[:2], np.int32)

@@ -86,6 +86,15 @@ class Onward:
         self._alpha = np.array(rough, np.float32)
         self._free = np.array([_free_part(alpha) for alpha in rough], np.float32)
 
+    @property
+    def both_ways(self) -> bool:
+        """Whether as much light passes one way as the other; glass that encloses nothing is entered from one side and left
+        from the other, at which much is reflected."""
+        bending = self._bending
+        return not (
+            bending.optics(bending.rows)[2].any(axis=0) & (bending.bit[bending.object[bending.rows]] == 0)
+        ).any()
+
     def meets(self, piece: np.ndarray) -> np.ndarray:
         """Of piece's shape, bool: at which of the patches' pieces rays may go on; −1, the sky, is none."""
         return self._meets.take(piece, mode="wrap")

@@ -146,9 +146,12 @@ def make_transport(
             between[cols, rows] = mean.T * area[rows]
     between = np.ascontiguousarray(between)
     row, col, part = roundabout
-    mean = (part / (area[row] + area[col])).astype(np.float32)
-    between[row, col] += mean * area[col]
-    between[col, row] += mean * area[row]
+    if gatherer.both_ways:
+        mean = (part / (area[row] + area[col])).astype(np.float32)
+        between[row, col] += mean * area[col]
+        between[col, row] += mean * area[row]
+    else:
+        between[row, col] += part.astype(np.float32)
     _balance(between, reach, each * places)
     return Transport(between, sky)
 
