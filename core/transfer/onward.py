@@ -39,6 +39,12 @@ def passing(scene: Scene) -> np.ndarray | None:
     return found if found.any() else None
 
 
+def find_bending(scene: Scene) -> Bending | None:
+    """Those triangles, ready to be looked up."""
+    triangles = passing(scene)
+    return None if triangles is None else Bending(scene, triangles)
+
+
 def opaque_part(scene: Scene, patches: Patches) -> np.ndarray:
     """(patches,) float32 in (0, 1]: part of the light that stays where it lands."""
     part = 1 - patches.transmission.mean(axis=1)
@@ -68,18 +74,18 @@ def _stay(material: Material) -> float:
 class Onward:
     """Follows rays of a gather through the scene's mirrors and glass.
 
-    triangles: (T,) bool from `passing`. transmission: of what else lets rays straight on, `triangles` being solid. lift:
+    bending: from `find_bending`. transmission: of what else lets rays straight on, those triangles being solid. lift:
     m, by which rays step behind what they pass straight.
     """
 
     def __init__(
-        self, scene: Scene, patches: Patches, triangles: np.ndarray, transmission: Transmission, lift: float
+        self, scene: Scene, patches: Patches, bending: Bending, transmission: Transmission, lift: float
     ) -> None:
         self._patches, self._transmission, self._lift = patches, transmission, _F(lift)
-        self._bending = Bending(scene, triangles)
+        self._bending = bending
         self._material = scene.triangle_material
         # the last row answers Embree's −1
-        self._bends = np.append(triangles[patches.parent], False)
+        self._bends = np.append(bending.bends[patches.parent], False)
         self._meets = self._bends | np.append(transmission.see_through[patches.parent], False)
         self._stays = _stays(scene)
         rough = [m.optics.roughness**2 if passes_on(m) and not is_caster(m) else 0 for m in scene.materials]

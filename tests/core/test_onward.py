@@ -9,6 +9,7 @@ from lightpanes.core.surface import cut_patches, make_patches
 from lightpanes.core.transfer import (
     ElementTransport,
     Gatherer,
+    find_bending,
     find_elements,
     find_entries,
     link_elements,
@@ -123,7 +124,7 @@ def plate(material) -> float:
     made = staged(floor(100), ("Plate", p, t, None, None, 1), materials=(GREY, material))
     patches = make_patches(made, 200)
     ids = np.where(made.triangle_object[patches.parent] == 0, 0, 1)
-    gatherer = Gatherer(made, patches, Bvh(patches.corners), ids, ids, 3, offset=1e-5, bends=True)
+    gatherer = Gatherer(made, patches, Bvh(patches.corners), ids, ids, 3, offset=1e-5, bending=find_bending(made))
     rows = np.flatnonzero(made.triangle_object[patches.parent] == 0)[:1]
     places = patches.sample(made, np.full(512, patches.patch[rows[0]], np.int32), 1)
     near = np.abs(places.position[:, :2]).max(axis=1) < 40
