@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..caustics import casters
+from ..caustics.bending import Bending
 from ..footprint import balanced, crowded, takes_points
 from ..planner import Budget, Settings, needs_panes, plan
 from ..rays import Bvh, Tracer
 from ..scene import Scene, SceneError
 from ..surface import Patches, SurfaceSamples, Texels, Vertices, cut_patches, make_patches, make_texels, make_vertices
-from ..transfer import Elements, Entries, Gatherer, find_elements, find_entries, make_gatherer
+from ..transfer import Elements, Entries, Gatherer, find_bending, find_elements, find_entries, make_gatherer
 from ..transfer.covered import covered
 from ..transfer.entries import MAX_ALBEDO
 from .clock import Clock
@@ -29,7 +30,8 @@ HURRIED_SCOUTS = 3000
 @dataclass(frozen=True)
 class Surfaces:
     """What a bake starts from, whatever its budget. at_points: whether exits are points. focuses: whether anything casts
-    caustics. hurried: whether the bake is but looked at, and its texels are those where it is."""
+    caustics. bending: what mirrors or refracts bounced light, None for none. hurried: whether the bake is but looked at, and
+    its texels are those where it is."""
 
     scene: Scene
     texels: Texels
@@ -38,6 +40,7 @@ class Surfaces:
     at_points: bool
     resolution: int
     focuses: bool
+    bending: Bending | None = None
     hurried: bool = False
 
 
@@ -49,7 +52,9 @@ def find_surfaces(scene: Scene, settings: Settings, clock: Clock) -> Surfaces:
     focusing = casters(scene)
     # what focuses a lamp's light casts a shadow of it
     tracer = Tracer(scene, solid=None if focusing is None else focusing.triangles)
-    return Surfaces(scene, texels, vertices, tracer, at_points, settings.resolution, focusing is not None)
+    return Surfaces(
+        scene, texels, vertices, tracer, at_points, settings.resolution, focusing is not None, find_bending(scene)
+    )
 
 
 @dataclass(frozen=True)
@@ -104,11 +109,12 @@ def find_ground(surfaces: Surfaces, settings: Settings, budget: Budget, clock: C
         texels = texels.keep(~buried | buried.all())
     warnings += _too_white(scene, patches)
     bins = sky_bins(scene.sky)
-    gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset, bins)
+    gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset, bins, surfaces.bending)
     elements, whole = None, (entries, gatherer)
     if finer is not None:
         elements, patches = find_elements(scene, finer, owner, entries, is_buried, seed), finer
-        entries, gatherer = elements.sides, make_gatherer(scene, finer, elements.sides, bvh, tracer.offset, bins)
+        entries = elements.sides
+        gatherer = make_gatherer(scene, finer, entries, bvh, tracer.offset, bins, surfaces.bending)
     return Ground(
         patches, bvh, entries, gatherer, whole, elements, texels, is_buried, int(buried.sum()), bins, warnings
     )

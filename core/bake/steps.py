@@ -159,7 +159,8 @@ def prepare_with(
     guide = None
     if live.test_direct is None:
         # without panes there is room for a row for every piece of every entry
-        gatherer, owner = make_piece_gatherer(scene, patches, entries, ground.bvh, tracer.offset, ground.bins)
+        given = scene, patches, entries, ground.bvh, tracer.offset, ground.bins, surfaces.bending
+        gatherer, owner = make_piece_gatherer(*given)
         tables = tables[:, np.append(owner, np.arange(len(entries), tables.shape[1]))]
         bounces = slice(modes.panes, modes.panes + 3)
         tables[0, : len(owner), bounces] += piece_excess(scene, patches, entries, owner, static, tracer, seed)

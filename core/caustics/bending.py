@@ -39,13 +39,14 @@ class Crossing(NamedTuple):
 class Bending:
     """Triangles of a scene that mirror or refract, (T,) bool, each of a material with optics.
 
-    object: (T,) int32. flat: (T, 3) float32 unit geometric normal, outwards as shading has it. rows: (k,) the triangles.
+    bends: (T,) bool, they. object: (T,) int32. flat: (T, 3) float32 unit geometric normal, outwards as shading has it. rows: (k,) the triangles.
     corners: (k, 3, 3) float32, m. owners: their objects. bit: (objects,) int64 of each one's inside, 0 where it has none.
     ior, absorption: of media, (media,) and (channels, media) float32. channels: 1 where none has a colour, else 3.
     """
 
     def __init__(self, scene: Scene, triangles: np.ndarray, tinted: bool = False):
         self.scene = scene
+        self.bends = triangles
         self.object = scene.triangle_object
         self.flat = _outward(scene)
         self.rows = rows = np.flatnonzero(triangles)

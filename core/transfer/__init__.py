@@ -3,6 +3,7 @@
 from .elements import Elements, ElementTransport, Links, find_elements, link_elements
 from .entries import Entries, find_entries
 from .gather import Begun, Gatherer
+from .onward import find_bending
 from .transport import Transport, make_gatherer, make_piece_gatherer, make_transport
 
 __all__ = [
@@ -13,6 +14,7 @@ __all__ = [
     "Gatherer",
     "Links",
     "Transport",
+    "find_bending",
     "find_elements",
     "find_entries",
     "link_elements",

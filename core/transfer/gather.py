@@ -12,12 +12,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..caustics.bending import Bending
 from ..rays import CHUNK, LAYERS, Bvh, Hits, Tracer, Transmission, chunks, product3
 from ..sampling import cosine_hemisphere, frame, hammersley_points, hash_uniform
 from ..scene import Scene
 from ..surface import Patches, SurfaceSamples
 from ..threads import in_threads
-from .onward import Onward, passing
+from .onward import Onward
 
 ROWS = 16
 """Directions of the pattern handled together: their ids stay in the second-level cache."""
@@ -43,8 +44,8 @@ class Gatherer:
 
     front, back: (p,) int32 id of each piece's two sides. miss: id of the sky's first bin; a sky with
     `bins` = (rows, columns) > (1, 1) has one id for each direction bin from `miss` on. bare: (p,) bool of the
-    fronts and backs that have no entry. bends: whether rays go on by mirrors and glass; else glass lets them straight on
-    and metal stops them.
+    fronts and backs that have no entry. bending: mirrors and glass by which rays go on; without them glass lets rays
+    straight on and metal stops them.
     """
 
     def __init__(
@@ -58,7 +59,7 @@ class Gatherer:
         bins: tuple[int, int] = (1, 1),
         offset: float = 0.0,
         bare: tuple[np.ndarray, np.ndarray] | None = None,
-        bends: bool = False,
+        bending: Bending | None = None,
     ):
         self.bvh = bvh
         self.miss = miss
@@ -74,13 +75,13 @@ class Gatherer:
         self._flat = cross.astype(np.float32)
         self._patches = patches
         self._bare = bare
-        mirrors = passing(scene) if bends else None
-        self._transmission = Transmission(scene, mirrors)
+        solid = None if bending is None else bending.bends
+        self._transmission = Transmission(scene, solid)
         clear = self._transmission.see_through[patches.parent]
         self._clear = np.append(clear, False)
         self._any_clear = bool(clear.any())
-        self._tracer = Tracer(scene, threads=1, solid=mirrors) if self._any_clear else None
-        self._onward = None if mirrors is None else Onward(scene, patches, mirrors, self._transmission, offset)
+        self._tracer = Tracer(scene, threads=1, solid=solid) if self._any_clear else None
+        self._onward = None if bending is None else Onward(scene, patches, bending, self._transmission, offset)
 
     def gather(
         self,
@@ -163,6 +164,11 @@ class Gatherer:
     def bends(self) -> bool:
         """Whether any rays are mirrored or refracted."""
         return self._onward is not None
+
+    @property
+    def both_ways(self) -> bool:
+        """Whether rays that are bent pass one way as easily as the other."""
+        return self._onward is None or self._onward.both_ways
 
     def _land_all(self, origins, directions, flat, apart):
         """(m, n) ids of directions (m, n, 3) from origins (n, 3)."""

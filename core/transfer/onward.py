@@ -39,6 +39,12 @@ def passing(scene: Scene) -> np.ndarray | None:
     return found if found.any() else None
 
 
+def find_bending(scene: Scene) -> Bending | None:
+    """Those triangles, ready to be looked up."""
+    triangles = passing(scene)
+    return None if triangles is None else Bending(scene, triangles)
+
+
 def opaque_part(scene: Scene, patches: Patches) -> np.ndarray:
     """(patches,) float32 in (0, 1]: part of the light that stays where it lands."""
     part = 1 - patches.transmission.mean(axis=1)
@@ -68,23 +74,32 @@ def _stay(material: Material) -> float:
 class Onward:
     """Follows rays of a gather through the scene's mirrors and glass.
 
-    triangles: (T,) bool from `passing`. transmission: of what else lets rays straight on, `triangles` being solid. lift:
+    bending: from `find_bending`. transmission: of what else lets rays straight on, those triangles being solid. lift:
     m, by which rays step behind what they pass straight.
     """
 
     def __init__(
-        self, scene: Scene, patches: Patches, triangles: np.ndarray, transmission: Transmission, lift: float
+        self, scene: Scene, patches: Patches, bending: Bending, transmission: Transmission, lift: float
     ) -> None:
         self._patches, self._transmission, self._lift = patches, transmission, _F(lift)
-        self._bending = Bending(scene, triangles)
+        self._bending = bending
         self._material = scene.triangle_material
         # the last row answers Embree's −1
-        self._bends = np.append(triangles[patches.parent], False)
+        self._bends = np.append(bending.bends[patches.parent], False)
         self._meets = self._bends | np.append(transmission.see_through[patches.parent], False)
         self._stays = _stays(scene)
         rough = [m.optics.roughness**2 if passes_on(m) and not is_caster(m) else 0 for m in scene.materials]
         self._alpha = np.array(rough, np.float32)
         self._free = np.array([_free_part(alpha) for alpha in rough], np.float32)
+
+    @property
+    def both_ways(self) -> bool:
+        """Whether as much light passes one way as the other; glass that encloses nothing is entered from one side and left
+        from the other, at which much is reflected."""
+        bending = self._bending
+        return not (
+            bending.optics(bending.rows)[2].any(axis=0) & (bending.bit[bending.object[bending.rows]] == 0)
+        ).any()
 
     def meets(self, piece: np.ndarray) -> np.ndarray:
         """Of piece's shape, bool: at which of the patches' pieces rays may go on; −1, the sky, is none."""

@@ -12,11 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..caustics.bending import Bending
 from ..rays import CHUNK, Bvh
 from ..scene import Scene
 from ..surface import Patches
 from .entries import MAX_ALBEDO, PLACES, Entries
 from .gather import Gatherer
+from .onward import find_bending
 from .pairs import far_pairs, sample_pairs
 from .spots import Spots
 
@@ -146,9 +148,12 @@ def make_transport(
             between[cols, rows] = mean.T * area[rows]
     between = np.ascontiguousarray(between)
     row, col, part = roundabout
-    mean = (part / (area[row] + area[col])).astype(np.float32)
-    between[row, col] += mean * area[col]
-    between[col, row] += mean * area[row]
+    if gatherer.both_ways:
+        mean = (part / (area[row] + area[col])).astype(np.float32)
+        between[row, col] += mean * area[col]
+        between[col, row] += mean * area[row]
+    else:
+        between[row, col] += part.astype(np.float32)
     _balance(between, reach, each * places)
     return Transport(between, sky)
 
@@ -199,18 +204,31 @@ def _balance(between: np.ndarray, reach: np.ndarray, rays: int) -> None:
 
 
 def make_gatherer(
-    scene: Scene, patches: Patches, entries: Entries, bvh: Bvh, offset: float, bins: tuple[int, int] = (1, 1)
+    scene: Scene,
+    patches: Patches,
+    entries: Entries,
+    bvh: Bvh,
+    offset: float,
+    bins: tuple[int, int] = (1, 1),
+    bending: Bending | None = None,
 ) -> Gatherer:
     """Rays that name entries: ids 0 … n−1; n is a dead end; the sky follows.
 
-    A side that no path needs shares its other side's entry.
+    A side that no path needs shares its other side's entry. bending: the scene's mirrors and glass, looked for if not given.
     """
     front, back, bare = _sides(patches, entries)
-    return Gatherer(scene, patches, bvh, front, back, len(entries) + 1, bins, offset, bare, True)
+    bending = bending or find_bending(scene)
+    return Gatherer(scene, patches, bvh, front, back, len(entries) + 1, bins, offset, bare, bending)
 
 
 def make_piece_gatherer(
-    scene: Scene, patches: Patches, entries: Entries, bvh: Bvh, offset: float, bins: tuple[int, int] = (1, 1)
+    scene: Scene,
+    patches: Patches,
+    entries: Entries,
+    bvh: Bvh,
+    offset: float,
+    bins: tuple[int, int] = (1, 1),
+    bending: Bending | None = None,
 ) -> tuple[Gatherer, np.ndarray]:
     """Rays that name sides of pieces: 2k and 2k + 1 of piece k, then a dead end and the sky as in `make_gatherer`.
 
@@ -218,9 +236,9 @@ def make_piece_gatherer(
     """
     front, back, bare = _sides(patches, entries)
     piece = 2 * np.arange(len(front), dtype=np.int32)
-    gatherer = Gatherer(
-        scene, patches, bvh, piece, piece + (front != back), 2 * len(front) + 1, bins, offset, bare, True
-    )
+    other, miss = piece + (front != back), 2 * len(front) + 1
+    bending = bending or find_bending(scene)
+    gatherer = Gatherer(scene, patches, bvh, piece, other, miss, bins, offset, bare, bending)
     return gatherer, np.stack([front, back], 1).reshape(-1)
 
 

@@ -9,6 +9,7 @@ from lightpanes.core.surface import cut_patches, make_patches
 from lightpanes.core.transfer import (
     ElementTransport,
     Gatherer,
+    find_bending,
     find_elements,
     find_entries,
     link_elements,
@@ -71,6 +72,23 @@ def test_uniform_light_stays_uniform(material):
     assert np.abs(flow - flow.T).max() < 1e-5 * flow.max()
 
 
+def test_a_sheet_of_glass_passes_light_unevenly():
+    """Light enters a sheet from one side and is mostly reflected at the other; in a furnace it is not seen all the same."""
+    made = closed(panel((0, 0, 1.1), (SIZE, 0, 0), (0, SIZE, 0)), material=glass())
+    entries, walls, gatherer, _ = ground(made)
+    assert not gatherer.both_ways
+    transport = make_transport(entries, gatherer, 1024)
+    source = walls[:, None].astype(np.float32)
+    light = transport.solve(np.float32(0.5) * source, source)[walls, 0]
+    assert np.average(light, weights=entries.area[walls]) == pytest.approx(2, rel=0.005)
+    high = entries.position[:, 2] > 1.2
+    low = walls & (entries.position[:, 2] < 1)
+    upward = np.average(transport.between[walls & high][:, low].sum(axis=1), weights=entries.area[walls & high])
+    downward = np.average(transport.between[low][:, walls & high].sum(axis=1), weights=entries.area[low])
+    # what gets through from the side of the air, and from that of the glass, of light that is diffuse there
+    assert downward * entries.area[low].sum() < 0.7 * upward * entries.area[walls & high].sum()
+
+
 def test_a_wall_that_mirrors_is_a_room_twice_as_long():
     low, high = np.zeros(3), np.full(3, SIZE)
     p, t, uv = box(low, high, inward=True)
@@ -106,7 +124,7 @@ def plate(material) -> float:
     made = staged(floor(100), ("Plate", p, t, None, None, 1), materials=(GREY, material))
     patches = make_patches(made, 200)
     ids = np.where(made.triangle_object[patches.parent] == 0, 0, 1)
-    gatherer = Gatherer(made, patches, Bvh(patches.corners), ids, ids, 3, offset=1e-5, bends=True)
+    gatherer = Gatherer(made, patches, Bvh(patches.corners), ids, ids, 3, offset=1e-5, bending=find_bending(made))
     rows = np.flatnonzero(made.triangle_object[patches.parent] == 0)[:1]
     places = patches.sample(made, np.full(512, patches.patch[rows[0]], np.int32), 1)
     near = np.abs(places.position[:, :2]).max(axis=1) < 40
