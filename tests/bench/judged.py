@@ -272,4 +272,4 @@ BUILT: dict[str, Callable[[], None]] = {
 }
 """Not among the samples, and not looked at while the estimate was made."""
 
-NAMES = (*scenes.NAMES, *BUILT)
+NAMES = (*scenes.NAMES, "glass", *BUILT, "atrium")
