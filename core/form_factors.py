@@ -111,7 +111,7 @@ def triangles_from(corners: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, 
     h / (h² + r²)^3/2 dA around the place's foot, and ∫ r dω = −h ∮ n / √(h² + r²) dl round the triangle, n pointing out of it.
     """
     # float64: slivers cancel
-    ends = np.ascontiguousarray((corners.astype(np.float64) - place).transpose(2, 1, 0))
+    ends = np.ascontiguousarray(corners.T, np.float64) - np.reshape(place, (3, 1, 1))
     a, b, c = ends.swapaxes(0, 1)
     square = dot(ends, ends)
     length = np.sqrt(square)

@@ -97,6 +97,7 @@ class EntryLight:
         self.each = len(surface.position) // max(count, 1)
         self._position = surface.position.reshape(count, self.each, 3)
         self._normal = surface.normal.reshape(count, self.each, 3)
+        self._first = np.ascontiguousarray(self._position[:, 0].T)
         self.few = min(few, self.each)
         pick = _balanced_pair(self._position) if self.few == 2 else np.tile(np.arange(self.few), (count, 1))
         # place-major: the first block is one place on every entry
@@ -168,7 +169,8 @@ class EntryLight:
         if light.kind == "SUN":
             return np.zeros(0, np.int64), np.zeros(0, np.float32)
         reach = light.radius + 0.5 * max(light.size) * (light.kind == "AREA")
-        apart = np.linalg.norm(self._position[:, 0] - light.position.astype(np.float32), axis=1)
+        x, y, z = self._first - light.position.astype(np.float32)[:, None]
+        apart = np.sqrt(x * x + y * y + z * z)
         depth = 1 - (apart - np.float32(reach)) / (np.float32(CLOSE) * self.surface.size)
         near = np.flatnonzero(depth > 0)
         return near, depth[near]

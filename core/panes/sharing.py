@@ -47,6 +47,7 @@ NARROW = 0.05
 """Least sine of the angle between two that share."""
 
 _X, _Y = np.triu_indices(MOST, 1)
+_SLOT = np.concatenate([np.stack([np.arange(MOST)] * 2, 1), np.stack([_X, _Y], 1)])
 _TINY = np.float32(1e-30)
 
 
@@ -59,7 +60,7 @@ class Sharing:
     def __init__(self, surface: EntrySurface, tracer: Tracer):
         self._surface, self._tracer = surface, tracer
         self.middle = surface.middle
-        self.area = surface.size.astype(np.float64) ** 2 * surface.left
+        self.area = np.maximum(surface.size**2 * surface.left, _TINY)
         corners = surface.pieces.astype(np.float64)
         own = np.repeat(np.arange(len(surface)), surface.counts)
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -123,38 +124,48 @@ class Sharing:
         rows, centre = rows[lit], moment[rows[lit]] / grey[lit, None]
         to, weight, carried = self._weights(rows, centre)
         weight *= part[lit, None]
-        moment[rows] -= np.float32(1 - LEFT) * (carried * (part[lit] * grey[lit])[:, None]).astype(np.float32)
-        scale = weight * (self.area[rows, None] / np.maximum(self.area[to], 1e-300))
+        moment[rows] -= carried * (np.float32(1 - LEFT) * part[lit] * grey[lit])[:, None]
+        scale = weight * (self.area[rows, None] / self.area[to])
         given = found[rows].reshape(len(rows), -1)
-        kept = given * np.maximum(1 - weight.sum(axis=1, keepdims=True), 0).astype(np.float32)
-        gained = (given[:, None] * scale[..., None].astype(np.float32)).reshape(-1, given.shape[1])
+        kept = given * np.maximum(1 - weight.sum(axis=1, keepdims=True), 0)
+        gained = given[:, None] * scale[..., None]
         found[rows] = kept.reshape(-1, *found.shape[1:])
         np.add.at(found, to.reshape(-1), gained.reshape(-1, *found.shape[1:]))
+
+    @cached_property
+    def _fan(self):
+        """Of those beside each entry, in its plane: m (n, MOST) to the side and across, their squared distance, and (n, pairs)
+        1 over twice the area of the triangle of two of them with the entry, NaN where there is none to speak of."""
+        way = self.middle[self.beside] - self.middle[:, None]
+        x, y = (np.einsum("nkd,nd->nk", way, axis) for axis in self._axes)
+        square = np.maximum(x * x + y * y, _TINY)
+        double = x[:, _X] * y[:, _Y] - y[:, _X] * x[:, _Y]
+        wide = np.abs(double) > NARROW * np.sqrt(square[:, _X] * square[:, _Y])
+        use = wide & (self.beside[:, _Y] >= 0)
+        return x, y, square, np.where(use, 1 / np.where(use, double, 1), np.float32(np.nan))
 
     def _weights(self, rows, centre):
         """(m, 2) entries that entries (m,) share with, (m, 2) part of their light that each gets, and (m, 3) how far that
         moves the light's middle, m. centre: (m, 3) m, where it is to be, from the entry's own."""
         beside, (side, across) = self.beside[rows], (axis[rows] for axis in self._axes)
-        way = self.middle[beside] - self.middle[rows, None]
-        # in the entry's plane
-        x, y = (np.einsum("mkd,md->mk", way, axis) for axis in (side, across))
+        x, y, square, inverse = (values[rows] for values in self._fan)
         u, v = (np.einsum("md,md->m", centre, axis)[:, None] for axis in (side, across))
-        square = np.maximum(x * x + y * y, _TINY)
         # one alone, as near as it gets
         single = np.where(beside < 0, 0, np.clip((x * u + y * v) / square, 0, 1))
         alone = OFF * ((u - single * x) ** 2 + (v - single * y) ** 2) + single * square
-        # two whose triangle with the entry holds the middle: signed areas of triangles
-        over, length = u * y - v * x, np.sqrt(square)
-        both = x[:, _X] * y[:, _Y] - y[:, _X] * x[:, _Y]
-        wide = np.abs(both) > NARROW * length[:, _X] * length[:, _Y]
-        both = np.where(wide, both, 1)
-        first, second = over[:, _Y] / both, -over[:, _X] / both
-        holds = wide & (first >= 0) & (second >= 0) & (first + second <= 1) & (beside[:, _Y] >= 0)
+        # two whose triangle with the entry holds the middle: parts of its area
+        over = u * y - v * x
+        first, second = over[:, _Y] * inverse, -over[:, _X] * inverse
+        holds = (first >= 0) & (second >= 0) & (first + second <= 1)
         pair = np.where(holds, first * square[:, _X] + second * square[:, _Y], np.inf)
         best = np.concatenate([alone, pair], 1).argmin(axis=1)
-        row, lone = np.arange(len(rows)), best < MOST
-        one, two = np.where(lone, best, 0), np.where(lone, 0, best - MOST)
-        slot = np.stack([np.where(lone, one, _X[two]), np.where(lone, one, _Y[two])], 1)
-        weight = np.stack([np.where(lone, single[row, one], first[row, two]), np.where(lone, 0, second[row, two])], 1)
-        carried = np.einsum("mk,mkd->md", weight, way[row[:, None], slot])
-        return beside[row[:, None], slot], weight, carried
+        row = np.arange(len(rows))
+        slot = _SLOT[best]
+        two = np.maximum(best - MOST, 0)
+        lone = best < MOST
+        weight = np.empty((len(rows), 2), np.float32)
+        weight[:, 0] = np.where(lone, single[row, slot[:, 0]], first[row, two])
+        weight[:, 1] = np.where(lone, 0, second[row, two])
+        at = row[:, None], slot
+        moved = ((weight * x[at]).sum(axis=1), (weight * y[at]).sum(axis=1))
+        return beside[at], weight, moved[0][:, None] * side + moved[1][:, None] * across
