@@ -123,10 +123,13 @@ class EntryLight:
         edge = self._edges(lit, near)
         if len(edge):
             found, edge = self._across(light, edge, lit, found, moment)
-            self._sharing.share(found, moment, edge, np.ones(len(edge), np.float32))
         if len(near):
             closely, moment[near] = self._closely(light, near)
             found = _with(found, near, closely)
+        # what is known of all is shared at last, or what one gets from another would be lost
+        if len(edge):
+            self._sharing.share(found, moment, edge, np.ones(len(edge), np.float32))
+        if len(near):
             self._sharing.share(found, moment, near, np.minimum(2 * depth, 1))
         return found, moment
 

@@ -27,13 +27,30 @@ class Counting:
         return self.tracer.visibility(origins, vectors)
 
 
-@pytest.fixture(scope="module")
-def looks():
-    """A floor below a sheet, under a sun at its zenith."""
-    floor, sheet = quad((0, 0, 0), (4, 0, 0), (0, 3, 0)), quad((EDGE, 0, 1), (-2, 0, 0), (0, 3, 0))
+def floor_below_a_sheet(height):
+    floor, sheet = quad((0, 0, 0), (4, 0, 0), (0, 3, 0)), quad((EDGE, 0, height), (-2, 0, 0), (0, 3, 0))
     made = scene((*floor, 0), (*sheet, 0), materials=(WHITISH,), lights=[lamp((1, 1.5, 1.2))])
     ready = prepare(made, quick(entries=400, lamps=30, regions=4, panes=2))
     return EntryLight(ready.surface, Counting(ready.tracer))
+
+
+@pytest.fixture(scope="module")
+def looks():
+    return floor_below_a_sheet(1.0)
+
+
+def test_power_stays_where_an_edge_passes_below_a_lamp(monkeypatch):
+    """What an entry at the edge gives to one that the lamp is near is not lost."""
+    looks = floor_below_a_sheet(0.3)
+    area = looks.surface.size.astype(float) ** 2 * looks.surface.left
+    for away in (-0.1, 0.05, 0.2):
+        light = lamp((EDGE + away, 1.5, 0.45), 1.0)
+        shared = looks.unit(light)
+        with monkeypatch.context() as patch:
+            patch.setattr(Sharing, "share", lambda *given: None)
+            plain = looks.unit(light)
+        assert not np.array_equal(shared, plain)
+        assert shared @ area == pytest.approx(plain @ area, rel=1e-5)
 
 
 @pytest.fixture
