@@ -9,6 +9,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 import lightpanes  # noqa: E402
+from lightpanes.core.bake import live  # noqa: E402
 from lightpanes.tests.frugal import save_rays  # noqa: E402
 
 from .files import baked_once, empty  # noqa: E402
@@ -56,6 +57,7 @@ def quick(monkeypatch):
 
     monkeypatch.setattr(baking, "Settings", functools.partial(baking.Settings, **SMALL))
     save_rays(monkeypatch)
+    monkeypatch.setattr(live, "CANDIDATES", 12)
 
 
 @pytest.fixture(scope="module")

@@ -190,14 +190,14 @@ def test_a_time_budget_cuts_the_exits_rays(exits):
 
 @pytest.mark.parametrize("at_vertices", [False, True])
 def test_trials_of_more_points_serve_judged_places_alone_and_leave_no_trace(monkeypatch, at_vertices):
-    place, planned, served = room(lights=[LIGHT]), planner.Budget(300, 128, 64, 8, 8, 60, 100, 128), []
+    place, planned, served = room(lights=[LIGHT]), planner.Budget(150, 64, 32, 4, 4, 30, 60, 64), []
     if at_vertices:
-        points, faces, flat = grid((0.1, 0.1, 0.2), (3.8, 0, 0), (0, 2.8, 0), 30)
+        points, faces, flat = grid((0.1, 0.1, 0.2), (3.8, 0, 0), (0, 2.8, 0), 24)
         place = scene(room_parts()[0], (points, faces, flat, 0), lights=[LIGHT])
         place = replace(place, objects=[SceneObject("Room", receives=False), SceneObject("Floor", at_vertices=True)])
     monkeypatch.setattr(rounds, "plan", lambda *_: planned)
     monkeypatch.setattr(rounds, "ROUNDS", 0)
-    more = iter([replace(planned, points=200), replace(planned, points=400), None, None])
+    more = iter([replace(planned, points=90), replace(planned, points=120), None, None])
     monkeypatch.setattr(run, "more_points", lambda *_: next(more))
 
     def counted(made, *rest):
@@ -212,7 +212,7 @@ def test_trials_of_more_points_serve_judged_places_alone_and_leave_no_trace(monk
     first, some, again, last = served
     assert first == last > 2 * some and some == again
     # what is tried first has half of the points
-    monkeypatch.setattr(rounds, "plan", lambda *_: replace(planned, points=800))
+    monkeypatch.setattr(rounds, "plan", lambda *_: replace(planned, points=240))
     monkeypatch.setattr(run, "more_points", lambda *_: None)
     at_once = bake(place, settings)
     assert np.array_equal(found.panes().rows, at_once.panes().rows)
