@@ -64,7 +64,7 @@ $(VENV)/.ready: $(VENV)/.locked pyproject.toml
 $(VENV)/.locked: $(LOCK)
 	@test -n "$(VERSION)" || { echo "No Python 3.11 or 3.13 found; install one, or say make PYTHON=/path/to/python3.11"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(RUN) -m pip install --quiet --requirement $(LOCK)
+	$(RUN) -m pip install --quiet --no-compile --requirement $(LOCK)
 	touch $@
 
 $(LOCK):

@@ -42,6 +42,9 @@ OF_NOISE, OF_POINTS = 0.4, 0.6
 LEAST_NOISE = 0.15
 """The same where that saves another trial: rays at exits cost less than anything else."""
 
+OF_REST = 0.5
+"""What comes from between points, over the rest of an error, below which more points change that by a tenth or less."""
+
 FALL, FALL_SPREAD = 0.65, 0.15
 """Power of the entries' number with which their error falls, and how far that of a scene is from it."""
 
@@ -248,14 +251,33 @@ def beyond_noise(judged: Judged) -> float:
 
 
 def more_points(settings: Settings, budget: Budget, error: float, points: float) -> Budget | None:
-    """The budget with the points that the error asks for; None where there are enough, or as many as can be. points: the
-    part of `error` that comes from between them."""
-    target = SURE * settings.error_target
-    if error <= target or budget.points >= MOST_POINTS or settings.points is not None:
+    """The budget with the points that the error asks for; None where there are enough, or as many as can be, or where more
+    of them change little. points: the part of `error` that comes from between them."""
+    if error <= SURE * settings.error_target or budget.points >= MOST_POINTS or settings.points is not None:
         return None
-    goal = max((GOAL * target) ** 2 - (error**2 - points**2), (0.5 * OF_POINTS * target) ** 2) ** 0.5
-    times = min(max((points / goal) ** 2, 1.3), 3.0)
+    times = _times_points(settings, error, points)
+    if times <= 1:
+        return None
+    times = min(max(times, 1.3), 3.0)
     return replace(budget, points=_clamp(budget.points * times, 1, MOST_POINTS))
+
+
+def few_points(budget: Budget) -> Budget:
+    """The budget with so few points that they are hardly ever enough: what is tried first."""
+    return replace(budget, points=max(budget.points // 2, min(LEAST["points"], budget.points)))
+
+
+def no_more_points(settings: Settings, budget: Budget, error: float, points: float) -> Budget:
+    """The budget with the points that the error asks for, where there are more than that."""
+    times = min(max(_times_points(settings, error, points), 0.4), 1.0)
+    return replace(budget, points=_clamp(budget.points * times, min(LEAST["points"], budget.points), budget.points))
+
+
+def _times_points(settings, error, points):
+    """Points that an error asks for, over those that there are."""
+    goal, rest = GOAL * SURE * settings.error_target, max(error**2 - points**2, 0.0)
+    # what is small beside the rest is hardly seen
+    return (points / max(goal**2 - rest, OF_REST**2 * rest) ** 0.5) ** 2
 
 
 @dataclass(frozen=True)

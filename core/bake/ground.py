@@ -61,7 +61,8 @@ def find_surfaces(scene: Scene, settings: Settings, clock: Clock) -> Surfaces:
 class Ground:
     """Entries and who meets them. whole: entries between which light is balanced, and their gatherer; these are `entries`
     and `gatherer` unless there are elements of them, which then stand in for entries. texels: those that are not inside
-    of things; buried: how many are. is_buried: tells of places whether they are. bins: of the sky."""
+    of things, or covered; buried: how many are. Where points are exits, `texels` has those inside of things still. is_buried:
+    tells of places whether they are. bins: of the sky."""
 
     patches: Patches
     bvh: Bvh
@@ -104,9 +105,10 @@ def find_ground(surfaces: Surfaces, settings: Settings, budget: Budget, clock: C
         buried[:] = False
         is_buried = _nothing
         warnings.append("Every texel lies inside a closed object; put a lamp inside the room, or flip its normals.")
+    hidden = covered(scene, texels, Tracer(scene) if surfaces.focuses else tracer, seed)
     if not surfaces.at_points:
-        buried |= covered(scene, texels, Tracer(scene) if surfaces.focuses else tracer, seed)
-        texels = texels.keep(~buried | buried.all())
+        hidden |= buried
+    texels = texels.keep(~hidden | hidden.all())
     warnings += _too_white(scene, patches)
     bins = sky_bins(scene.sky)
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset, bins, surfaces.bending)
@@ -116,7 +118,7 @@ def find_ground(surfaces: Surfaces, settings: Settings, budget: Budget, clock: C
         entries = elements.sides
         gatherer = make_gatherer(scene, finer, entries, bvh, tracer.offset, bins, surfaces.bending)
     return Ground(
-        patches, bvh, entries, gatherer, whole, elements, texels, is_buried, int(buried.sum()), bins, warnings
+        patches, bvh, entries, gatherer, whole, elements, texels, is_buried, int(hidden.sum()), bins, warnings
     )
 
 

@@ -13,7 +13,7 @@ from ..panes import Panes
 from ..panes.exits import gather_panes, joined, smooth_panes
 from ..panes.regions import region_of
 from ..panes.trust import concentration
-from ..planner import MOST_ENTRIES, Settings, more_points
+from ..planner import MOST_ENTRIES, Settings, few_points, more_points, no_more_points
 from ..rays import CHUNK
 from ..scene import Scene, SceneError
 from ..transfer import Begun
@@ -98,7 +98,7 @@ def _bake(scene, settings, clock, kept):
     elif made.starts is None:
         wanted = len(made.exits)
         made.exits, stored = spread_to_texels(made, settings, clock)
-        made.buried = wanted - len(made.exits)
+        made.buried += wanted - len(made.exits)
         # of other rows
         made.looks = None
         panes, first_hit = _atlas(made, stored.rows, stored.starts, joined(made.exits))
@@ -141,7 +141,7 @@ def _bake(scene, settings, clock, kept):
         "rays": clock.rays,
         "exits": "points" if at_points else "texels" if stored is None else "atlas",
         "texels": int(panes.own.sum()) if at_points else len(made.exits),
-        "buried_texels": int(stored.texels.orphan.sum()) if at_points else made.buried,
+        "buried_texels": made.buried + (int(stored.texels.orphan.sum()) if at_points else 0),
         "triangles": len(scene.triangles),
         "entries": len(made.entries),
         "regions": made.modes.regions,
@@ -168,21 +168,32 @@ def _bake(scene, settings, clock, kept):
 
 
 def _enough_points(made: Prepared, settings: Settings, bound: str, clock: Clock) -> tuple[Stored, Verdict | None]:
-    """Exits at points, more of them until the error is what was asked for, and what it is.
+    """Exits at as many points as the error that was asked for takes, and what it is.
 
-    More are tried for the judged places alone: to find the points that serve all places takes longer than to gather.
+    How many is tried at the judged places alone: to find the points that serve all places takes longer than to gather.
     """
-    stored, verdict = _judged_points(made, settings, clock)
-    if verdict is None or bound in ("given", "time") or settings.time_budget:
-        return stored, verdict
-    while (better := more_points(settings, made.budget, verdict.error, verdict.exits)) is not None:
-        looked_at = where_judged(made)
-        while better is not None:
-            made.budget = looked_at.budget = better
-            tried = _judged_points(looked_at, settings, clock)[1]
-            better = tried and more_points(settings, better, tried.error, tried.exits)
+    if made.looks is None or bound in ("given", "time") or settings.time_budget or settings.points is not None:
+        return _judged_points(made, settings, clock)
+    looked_at, wanted = where_judged(made), few_points(made.budget)
+
+    def tried():
+        made.budget = looked_at.budget = wanted
+        return _judged_points(looked_at, settings, clock)[1]
+
+    def more(verdict):
+        return None if verdict is None else more_points(settings, made.budget, verdict.error, verdict.exits)
+
+    found = tried()
+    if found is not None:
+        made.budget = no_more_points(settings, made.budget, found.error, found.exits)
+    wanted = more(found)
+    while True:
+        while wanted is not None:
+            wanted = more(tried())
         stored, verdict = _judged_points(made, settings, clock)
-    return stored, verdict
+        wanted = more(verdict)
+        if wanted is None:
+            return stored, verdict
 
 
 def _judged_points(made, settings, clock):

@@ -9,8 +9,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 import lightpanes  # noqa: E402
-from lightpanes.core.bake import live  # noqa: E402
-from lightpanes.tests.frugal import save_rays  # noqa: E402
+from lightpanes.tests.frugal import judge_lightly, save_rays  # noqa: E402
 
 from .files import baked_once, empty  # noqa: E402
 from .soft import hang_panel  # noqa: E402
@@ -57,7 +56,7 @@ def quick(monkeypatch):
 
     monkeypatch.setattr(baking, "Settings", functools.partial(baking.Settings, **SMALL))
     save_rays(monkeypatch)
-    monkeypatch.setattr(live, "CANDIDATES", 12)
+    judge_lightly(monkeypatch)
 
 
 @pytest.fixture(scope="module")

@@ -55,3 +55,18 @@ def test_a_thin_plate_on_the_floor_leaves_no_dark_texels_beside_it():
     beside = own_floor & (np.abs(place[:, :2] - 1).max(axis=1) > 0.45)
     assert under.sum() > 30
     assert light[under].min() > 0.4 * light[beside].mean()
+
+
+@pytest.mark.usefixtures("frugal")
+def test_points_neither_serve_nor_judge_what_is_covered():
+    """A rug that is lit from above, and the floor under it, which is as bright to points beside it as it is dark to Cycles."""
+    walls, rug = box((0, 0, 0), (2, 2, 2), inward=True), box((0.5, 0.5, 0.002), (1.5, 1.5, 0.02))
+    made = scene((*walls, 0), (*rug, 0), lights=[lamp((0.4, 0.4, 1.2))])
+    by_texels, by_points = (bake(made, quick(resolution=96, exits=exits)) for exits in ("texels", "points"))
+    texels = make_texels(made, 96)
+    place = texels.samples.position
+    under = (place[:, 2] < 1e-3) & (np.abs(place[:, :2] - 1).max(axis=1) < 0.47) & (texels.samples.normal[:, 2] > 0.9)
+    assert under.sum() > 40
+    for result in (by_texels, by_points):
+        assert not result.own.reshape(-1)[texels.index[under]].any()
+    assert by_points.report["buried_texels"] == pytest.approx(by_texels.report["buried_texels"], rel=0.2)

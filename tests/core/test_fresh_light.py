@@ -8,6 +8,8 @@ from lightpanes.core.scene import Material
 
 from .shapes import lamp, quick, room_parts, scene
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.mark.parametrize("white", [0.0, 0.3, 0.9, 0.98])
 def test_all_bounces_are_there_however_white_a_room_is(white):

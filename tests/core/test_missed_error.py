@@ -6,7 +6,7 @@ from lightpanes.core.planner import Budget, Settings
 
 from .shapes import lamp, quick, room
 
-pytestmark = pytest.mark.usefixtures("frugal")
+pytestmark = [pytest.mark.thorough, pytest.mark.usefixtures("frugal")]
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,8 @@ from .shapes import box, lamp, moved, quad, quick, room, room_parts, scene
 from .test_darts import crowded, inside, surveyed
 from .test_interpolation import anywhere
 
+pytestmark = pytest.mark.thorough
+
 
 def lit(ground: Ground, samples: SurfaceSamples, lights=None) -> np.ndarray:
     """(n,) W/m² of the scene's lamps, or of these."""

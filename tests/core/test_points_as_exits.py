@@ -199,6 +199,7 @@ def test_trials_of_more_points_serve_judged_places_alone_and_leave_no_trace(monk
     monkeypatch.setattr(rounds, "ROUNDS", 0)
     more = iter([replace(planned, points=90), replace(planned, points=120), None, None])
     monkeypatch.setattr(run, "more_points", lambda *_: next(more))
+    monkeypatch.setattr(run, "no_more_points", lambda _, budget, *__: budget)
 
     def counted(made, *rest):
         served.append(len(made.exits) + len(made.vertices))
@@ -209,10 +210,11 @@ def test_trials_of_more_points_serve_judged_places_alone_and_leave_no_trace(monk
     monkeypatch.setattr(verdict, "BLOCKS", 16)
     settings = Settings(error_target=0.01, resolution=48, exits="points")
     found = bake(place, settings)
-    first, some, again, last = served
-    assert first == last > 2 * some and some == again
-    # what is tried first has half of the points
+    some, again, once_more, last = served
+    assert last > 2 * some and some == again == once_more
+    # the pilot has half of the points
     monkeypatch.setattr(rounds, "plan", lambda *_: replace(planned, points=240))
+    monkeypatch.setattr(run, "few_points", lambda budget: budget)
     monkeypatch.setattr(run, "more_points", lambda *_: None)
     at_once = bake(place, settings)
     assert np.array_equal(found.panes().rows, at_once.panes().rows)

@@ -12,6 +12,8 @@ from lightpanes.core.panes.trust import Expected, contrast, expected_of, trust
 
 from .shapes import box, lamp, quick, relighter, room, scene
 
+pytestmark = pytest.mark.thorough
+
 PLACES = [(3, 1.5, 2), (0.5, 0.5, 0.3), (3.3, 1.2, 0.01), (2.2, 2.9, 1.2), (0.01, 0.01, 2.4)]
 
 

@@ -21,8 +21,10 @@ from lightpanes.core.planner import (
     SURE,
     Judged,
     Settings,
+    few_points,
     first_try,
     more_points,
+    no_more_points,
     plan,
     refine,
     sized,
@@ -32,7 +34,7 @@ from lightpanes.tests.frugal import save_rays
 
 from .shapes import box, lamp, quad, quick, room, scene
 
-pytestmark = pytest.mark.usefixtures("exact")
+pytestmark = [pytest.mark.thorough, pytest.mark.usefixtures("exact")]
 
 
 @pytest.fixture(scope="module")
@@ -260,6 +262,21 @@ def test_points_are_added_where_they_are_what_is_wrong():
     assert 1.5 < more.points / budget.points <= 3
     assert more_points(replace(settings, points=budget.points), budget, 0.07, 0.06) is None
     assert more_points(settings, replace(budget, points=60_000), 0.07, 0.06) is None
+    # where most of the error is elsewhere, they change little
+    assert more_points(settings, budget, 0.07, 0.02) is None
+
+
+def test_no_more_points_than_the_error_asks_for():
+    settings = Settings(error_target=0.05)
+    budget = plan(room(), settings)
+    assert few_points(budget).points == budget.points // 2
+    assert no_more_points(settings, budget, 0.06, 0.05) == budget
+    fewer = no_more_points(settings, budget, 0.035, 0.02)
+    # their part of the error falls with the root of their number
+    share = 0.02**2 * budget.points / fewer.points + 0.035**2 - 0.02**2
+    assert fewer.points < budget.points and 0.9 * SURE * 0.05 < share**0.5 <= SURE * 0.05
+    few = replace(budget, points=400)
+    assert few_points(few) == no_more_points(settings, few, 0.01, 0.005) == few
 
 
 def test_a_small_target_takes_more_rounds():
