@@ -23,6 +23,9 @@ LEAST = {
 """What a time budget cuts budgets to at most, and what a planner tries first: with less, a bake takes hardly
 less time."""
 
+FEWEST_POINTS = 300
+"""With fewer, small things have one or none."""
+
 MOST_ENTRIES, MOST_POINTS = 10_000, 60_000
 """Their transport, and their weights, take time and memory with the square of the entries."""
 
@@ -264,13 +267,13 @@ def more_points(settings: Settings, budget: Budget, error: float, points: float)
 
 def few_points(budget: Budget) -> Budget:
     """The budget with so few points that they are hardly ever enough: what is tried first."""
-    return replace(budget, points=max(budget.points // 2, min(LEAST["points"], budget.points)))
+    return replace(budget, points=max(budget.points // 2, min(FEWEST_POINTS, budget.points)))
 
 
 def no_more_points(settings: Settings, budget: Budget, error: float, points: float) -> Budget:
     """The budget with the points that the error asks for, where there are more than that."""
     times = min(max(_times_points(settings, error, points), 0.4), 1.0)
-    return replace(budget, points=_clamp(budget.points * times, min(LEAST["points"], budget.points), budget.points))
+    return replace(budget, points=_clamp(budget.points * times, min(FEWEST_POINTS, budget.points), budget.points))
 
 
 def _times_points(settings, error, points):

@@ -9,7 +9,7 @@ from lightpanes.core.transfer import entries, reach
 def judge_lightly(patch: pytest.MonkeyPatch) -> None:
     """Bakes measure their error by few lamps, chosen among few, for as long as the patch lasts."""
     _look_less(patch)
-    patch.setattr(live, "CANDIDATES", 12)
+    patch.setattr(live, "CANDIDATES", 6)
 
 
 def seek_lightly(patch: pytest.MonkeyPatch) -> None:
@@ -19,10 +19,10 @@ def seek_lightly(patch: pytest.MonkeyPatch) -> None:
 
 
 def _look_less(patch):
-    patch.setattr(live, "TEST_LAMPS", 6)
-    patch.setattr(verdict, "BLOCKS", 64)
-    patch.setattr(verdict, "EVEN_RAYS", 32)
-    patch.setattr(verdict, "PATHS", 4)
+    patch.setattr(live, "TEST_LAMPS", 3)
+    patch.setattr(verdict, "BLOCKS", 32)
+    patch.setattr(verdict, "EVEN_RAYS", 16)
+    patch.setattr(verdict, "PATHS", 2)
 
 
 def save_rays(patch: pytest.MonkeyPatch, judge: bool = False) -> None:

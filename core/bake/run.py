@@ -158,8 +158,8 @@ def _bake(scene, settings, clock, kept):
         points = point_arrays(stored.points, region_of(stored.starts), scene.triangle_object)
     meta = {"report": report, "seed": seed}
     if verdict is not None and len(made.exits):
-        kept = slice(None) if not at_points else np.flatnonzero(~stored.texels.orphan)
-        meta["error_map"] = encode(error_map(verdict, made.exits, scene.extent, kept))
+        own = slice(None) if not at_points else np.flatnonzero(~stored.texels.orphan)
+        meta["error_map"] = encode(error_map(verdict, made.exits, scene.extent, own))
     result = Bake.from_panes(panes, first_hit, meta, points)
     report["bytes"] = result.bytes
     if clock.progress is not None:
@@ -185,7 +185,9 @@ def _enough_points(made: Prepared, settings: Settings, bound: str, clock: Clock)
 
     found = tried()
     if found is not None:
-        made.budget = no_more_points(settings, made.budget, found.error, found.exits)
+        # parts that make up for each other here may not do so everywhere
+        most = max(found.error, float(np.linalg.norm([found.panes, found.exits, found.entries])))
+        made.budget = no_more_points(settings, made.budget, most, found.exits)
     wanted = more(found)
     while True:
         while wanted is not None:

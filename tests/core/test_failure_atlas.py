@@ -10,6 +10,8 @@ from ..failures.registry import core_entries
 
 TESTS = Path(__file__).resolve().parents[1]
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.mark.parametrize("entry", core_entries(), ids=lambda entry: entry.slug)
 def test_the_bound_holds(entry):

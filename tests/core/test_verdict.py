@@ -275,7 +275,7 @@ def test_no_more_points_than_the_error_asks_for():
     # their part of the error falls with the root of their number
     share = 0.02**2 * budget.points / fewer.points + 0.035**2 - 0.02**2
     assert fewer.points < budget.points and 0.9 * SURE * 0.05 < share**0.5 <= SURE * 0.05
-    few = replace(budget, points=400)
+    few = replace(budget, points=300)
     assert few_points(few) == no_more_points(settings, few, 0.01, 0.005) == few
 
 
