@@ -28,7 +28,7 @@ def plain(seed=0):
 
 def long(exits):
     """A bake whose exits take several chunks of rays."""
-    return quick(exits=exits, points=4000, point_rays=64, resolution={"texels": 384, "points": 64}[exits], exit_rays=32)
+    return quick(exits=exits, points=2000, point_rays=64, resolution={"texels": 256, "points": 64}[exits], exit_rays=32)
 
 
 @cache
