@@ -13,9 +13,9 @@ def judge_lightly(patch: pytest.MonkeyPatch) -> None:
 
 
 def seek_lightly(patch: pytest.MonkeyPatch) -> None:
-    """Bakes seek their entries from fewer places, for as long as the patch lasts."""
-    patch.setattr(reach, "PARTICLES", 4096)
-    patch.setattr(entries, "SCOUTS", 1500)
+    """Bakes seek their entries from fewer places, as in a trial, for as long as the patch lasts."""
+    patch.setattr(reach, "PARTICLES", 8192)
+    patch.setattr(entries, "SCOUTS", 3000)
 
 
 def _look_less(patch):
@@ -30,6 +30,7 @@ def save_rays(patch: pytest.MonkeyPatch, judge: bool = False) -> None:
     their error as well as ever."""
     if not judge:
         _look_less(patch)
-    seek_lightly(patch)
+    patch.setattr(reach, "PARTICLES", 4096)
+    patch.setattr(entries, "SCOUTS", 1500)
     patch.setattr(build, "COARSE", (1000, build.COARSE[1]))
     patch.setattr(build, "LOOKS", 300)
