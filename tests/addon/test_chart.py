@@ -46,7 +46,7 @@ def small(monkeypatch):
     monkeypatch.setattr(rungs, "LADDER", ({**SMALL, "entries": 200, "exit_rays": 16}, SMALL))
     monkeypatch.setattr(rungs, "GATHERED", rungs.LADDER)
     monkeypatch.setattr(rungs, "WALKS", (64, 256))
-    monkeypatch.setattr(chart, "ROUNDS", 2)
+    monkeypatch.setattr(chart, "ROUNDS", 1)
     save_rays(monkeypatch)
 
 
