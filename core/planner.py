@@ -51,6 +51,9 @@ OF_REST = 0.5
 FALL, FALL_SPREAD = 0.65, 0.15
 """Power of the entries' number with which their error falls, and how far that of a scene is from it."""
 
+STEEPEST = 0.9
+"""The largest power that is believed."""
+
 FREAK = 0.15
 """How far one trial's error is from where others say that it should be, as a part of it: where regions end is chance."""
 
@@ -232,6 +235,9 @@ def refine(settings: Settings, judged: list[Judged], at_points: bool, whole: boo
     goal = max((GOAL * target) ** 2 - noise**2, (0.3 * target) ** 2) ** 0.5
     # a step too far costs more than one more step
     most = 6.0 if len(judged) == 1 else 2.5
+    if last.budget.entries * (size / goal) ** (1 / STEEPEST) > MOST_ENTRIES:
+        # but where all steps lead to the most, those between are for nothing
+        most = np.inf
     times = np.clip(_asked(judged, goal) / last.budget.entries, 1.25 if whole else 0.0, most)
     entries = _clamp(last.budget.entries * times, LEAST["entries"], MOST_ENTRIES)
     return _as_given(sized(fine, entries, settings), settings)
@@ -244,7 +250,7 @@ def _asked(judged, goal):
     size = np.log([beyond_noise(j) for j in judged])
     away = entries - entries.mean()
     known = (FREAK / FALL_SPREAD) ** 2
-    fall = np.clip((known * FALL - away @ size) / (known + away @ away), 0.4, 0.9)
+    fall = np.clip((known * FALL - away @ size) / (known + away @ away), 0.4, STEEPEST)
     return float(np.exp((size.mean() + fall * entries.mean() - np.log(goal)) / fall))
 
 

@@ -18,13 +18,16 @@ from lightpanes.addon import lamps
 from lightpanes.addon.atlas import make_atlas
 from lightpanes.addon.extract import extract
 from lightpanes.core import metrics
+from lightpanes.core.bake.live import DIM
 from lightpanes.core.caustics import casters
+from lightpanes.core.lights import irradiance
 from lightpanes.core.panes import Relighter
 from lightpanes.core.panes.held_out import held_out_lamps
 from lightpanes.core.rays import Bvh, Tracer
 from lightpanes.core.scene import Light, Scene
 from lightpanes.core.surface import make_patches, make_texels
 from lightpanes.core.transfer import find_entries, make_gatherer
+from lightpanes.core.transfer.entries import PLACES
 from mathutils import Matrix, Vector
 
 from . import cycles, scenes
@@ -36,6 +39,11 @@ FINER = {"atrium": 512}
 LAMPS = 6
 SPP = 128
 SEED = 9000
+POOL = 48
+"""Lamps of which those in the air stand in for others that light hardly anything."""
+
+MEETING = 64
+"""Rays of an entry that tell how much of what leaves it another one gets."""
 
 
 @dataclass(frozen=True)
@@ -101,13 +109,39 @@ def _shrink(data: bpy.types.Light) -> None:
 
 
 def judging_lamps(scene: Scene, count: int = LAMPS) -> list[Light]:
-    """The lamps, the same whatever bake they judge."""
+    """The lamps, the same whatever bake they judge. Those in the air that light hardly anything, outside or in a crack, give
+    way to others, as where a bake chooses its own."""
     texels, tracer = make_texels(scene, RESOLUTION), Tracer(scene)
     patches = make_patches(scene, 1000, SEED, tracer)
     bvh = Bvh(patches.corners)
     entries, _, _ = find_entries(scene, patches, bvh, texels.samples, tracer.offset, SEED)
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset)
-    return held_out_lamps(scene, entries.places, gatherer, count, SEED)[0]
+    lamps, own = held_out_lamps(scene, entries.places, gatherer, count, SEED)
+    others, theirs = held_out_lamps(scene, entries.places, gatherer, POOL, SEED + 1)
+    others = [lamp for lamp, is_own in zip(others, theirs, strict=True) if not is_own]
+    light = _passed_on(lamps + others, entries, gatherer, tracer)
+    least = DIM * np.median(light[len(lamps) :])
+    bright = iter(lamp for lamp, gives in zip(others, light[len(lamps) :], strict=True) if gives >= least)
+    return [lamp if own[k] or light[k] >= least else next(bright) for k, lamp in enumerate(lamps)]
+
+
+def _passed_on(lamps, entries, gatherer, tracer):
+    """(l,) light of lamps that goes from one entry to another, by what a few rays of each entry meet."""
+    some = entries.places.take(slice(None, None, PLACES))
+    meets = np.zeros(len(some))
+
+    def consume(piece, ids):
+        meets[piece] += (ids < len(entries)).sum(axis=0) / MEETING
+
+    gatherer.gather(some, MEETING, SEED, consume)
+    leaving = entries.area * entries.albedo.mean(axis=1) * meets
+    lifted = some.position + some.flat * np.float32(tracer.offset)
+
+    def arriving(lamp):
+        found = irradiance(lamp, lifted, some.normal, tracer.visibility, 1, SEED)
+        return found if found.ndim == 1 else found.mean(axis=1)
+
+    return np.array([leaving @ arriving(lamp) for lamp in lamps])
 
 
 def judge(scene: Scene, result, known: list[Truth]) -> list[metrics.Comparison]:

@@ -254,6 +254,13 @@ def test_rounds_end_at_the_target_and_not_far_below(power, target):
     assert look(budget).noise <= 0.401 * target
 
 
+def test_where_no_entries_are_enough_the_most_are_tried_at_once():
+    settings = Settings(error_target=0.05)
+    small = first_try(settings, plan(room(), settings))
+    steps = {error: refine(settings, [Judged(small, error, 0.01)], False).entries for error in (0.2, 1.4)}
+    assert steps[0.2] == 6 * small.entries < MOST_ENTRIES and steps[1.4] == MOST_ENTRIES
+
+
 def test_points_are_added_where_they_are_what_is_wrong():
     settings = Settings(error_target=0.05)
     budget = plan(room(), settings)
