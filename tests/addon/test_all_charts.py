@@ -138,7 +138,7 @@ def test_a_run_goes_on_where_it_ended(measured, monkeypatch, capsys):
     assert "cornell was charted with this code on 20" in capsys.readouterr().out
     assert all_charts.main(["cornell", "--again"]) == 0 and measured == ["cornell"]
     assert all_charts.main(["--draw"]) == 0 and measured == ["cornell"]
-    monkeypatch.setattr(all_charts, "RESOLUTION", 64)
+    monkeypatch.setattr(all_charts.judged, "RESOLUTION", 64)
     assert all_charts.main(["cornell"]) == 0 and measured == ["cornell"] * 2
 
 

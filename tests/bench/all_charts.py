@@ -20,12 +20,11 @@ from lightpanes.addon import chart, chart_page, plot
 from lightpanes.addon.terminal import Bar, quiet
 from PIL import Image
 
-from . import cycles, harness
+from . import cycles, harness, judged
 
 FOLDER = harness.ROOT / "out" / "charts"
 SAMPLES = harness.ROOT / "sample_blends"
 PAGE = harness.ROOT / "docs" / "charts.html"
-RESOLUTION = 128
 
 MEASURING = ("chart", "rungs", "methods", "studies", "preview_study", "reference", "denoised")
 """Modules of addon whose code is part of what was measured, beside all of core."""
@@ -79,7 +78,7 @@ def measure(name: str) -> None:
     code = made_by(name)
     bpy.ops.wm.open_mainfile(filepath=str(SAMPLES / f"{name}.blend"))
     with Bar() as bar, quiet():
-        found = chart.measure(bpy.context, RESOLUTION, 0, bar, chart.NAMES, _indirect)
+        found = chart.measure(bpy.context, judged.resolution(name), 0, bar, chart.NAMES, _indirect)
     report = chart_page.machine() | {"load": round(os.getloadavg()[2], 1), "made_by": code} | found
     (FOLDER / f"{name}_chart.json").write_text(json.dumps(report, indent=1) + "\n", "utf-8")
 
@@ -88,7 +87,7 @@ def made_by(name: str) -> str:
     """Says whether figures of a sample would be measured the same way: of code, file, settings and versions."""
     modules = [harness.ROOT / "addon" / f"{module}.py" for module in MEASURING]
     paths = [*sorted((harness.ROOT / "core").rglob("*.py")), *modules, SAMPLES / f"{name}.blend"]
-    digest = hashlib.sha256(f"{RESOLUTION} {chart_page.machine()['versions']}".encode())
+    digest = hashlib.sha256(f"{judged.resolution(name)} {chart_page.machine()['versions']}".encode())
     for path in paths:
         digest.update(hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()[:16]
