@@ -57,6 +57,10 @@ STEEPEST = 0.9
 FREAK = 0.15
 """How far one trial's error is from where others say that it should be, as a part of it: where regions end is chance."""
 
+EXITS_PAY = 0.5
+"""Rays of all exits, over those of entries and training lamps, up to which more of them cost less time than they take of the
+error: single texels in the shade, too dark to count in it, show their noise."""
+
 RAYS_FALL = 0.75
 """Power of the rays' number with which the noise of a gather falls: they are stratified."""
 
@@ -241,6 +245,13 @@ def refine(settings: Settings, judged: list[Judged], at_points: bool, whole: boo
     times = np.clip(_asked(judged, goal) / last.budget.entries, 1.25 if whole else 0.0, most)
     entries = _clamp(last.budget.entries * times, LEAST["entries"], MOST_ENTRIES)
     return _as_given(sized(fine, entries, settings), settings)
+
+
+def cheap_rays(settings: Settings, budget: Budget, exits: int) -> Budget:
+    """The budget with as many rays at each of its exits, texels, as hardly take time beside all that came before."""
+    before = budget.entries * (budget.entry_rays + budget.lamps)
+    rays = _clamp(EXITS_PAY * before / max(exits, 1), budget.exit_rays, MOST_RAYS["exit_rays"])
+    return _as_given(replace(budget, exit_rays=rays), settings)
 
 
 def _asked(judged, goal):

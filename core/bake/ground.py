@@ -29,12 +29,13 @@ HURRIED_SCOUTS = 3000
 
 @dataclass(frozen=True)
 class Surfaces:
-    """What a bake starts from, whatever its budget. at_points: whether exits are points. focuses: whether anything casts
-    caustics. bending: what mirrors or refracts bounced light, None for none. hurried: whether the bake is but looked at, and
-    its texels are those where it is."""
+    """What a bake starts from, whatever its budget. texels: but for those that something covers; covered: how many those
+    are. at_points: whether exits are points. focuses: whether anything casts caustics. bending: what mirrors or refracts
+    bounced light, None for none. hurried: whether the bake is but looked at, and its texels are those where it is."""
 
     scene: Scene
     texels: Texels
+    covered: int
     vertices: Vertices
     tracer: Tracer
     at_points: bool
@@ -52,8 +53,20 @@ def find_surfaces(scene: Scene, settings: Settings, clock: Clock) -> Surfaces:
     focusing = casters(scene)
     # what focuses a lamp's light casts a shadow of it
     tracer = Tracer(scene, solid=None if focusing is None else focusing.triangles)
+    hidden = covered(scene, texels, tracer if focusing is None else Tracer(scene), settings.seed, clock.pulse)
+    count = 0 if hidden.all() else int(hidden.sum())
+    if count:
+        texels = texels.keep(~hidden)
     return Surfaces(
-        scene, texels, vertices, tracer, at_points, settings.resolution, focusing is not None, find_bending(scene)
+        scene,
+        texels,
+        count,
+        vertices,
+        tracer,
+        at_points,
+        settings.resolution,
+        focusing is not None,
+        find_bending(scene),
     )
 
 
@@ -105,10 +118,10 @@ def find_ground(surfaces: Surfaces, settings: Settings, budget: Budget, clock: C
         buried[:] = False
         is_buried = _nothing
         warnings.append("Every texel lies inside a closed object; put a lamp inside the room, or flip its normals.")
-    hidden = covered(scene, texels, Tracer(scene) if surfaces.focuses else tracer, seed)
-    if not surfaces.at_points:
-        hidden |= buried
-    texels = texels.keep(~hidden | hidden.all())
+    lost = surfaces.covered
+    if not surfaces.at_points and buried.any():
+        lost += int(buried.sum())
+        texels = texels.keep(~buried)
     warnings += _too_white(scene, patches)
     bins = sky_bins(scene.sky)
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset, bins, surfaces.bending)
@@ -117,9 +130,7 @@ def find_ground(surfaces: Surfaces, settings: Settings, budget: Budget, clock: C
         elements, patches = find_elements(scene, finer, owner, entries, is_buried, seed), finer
         entries = elements.sides
         gatherer = make_gatherer(scene, finer, entries, bvh, tracer.offset, bins, surfaces.bending)
-    return Ground(
-        patches, bvh, entries, gatherer, whole, elements, texels, is_buried, int(hidden.sum()), bins, warnings
-    )
+    return Ground(patches, bvh, entries, gatherer, whole, elements, texels, is_buried, lost, bins, warnings)
 
 
 def _nothing(samples: SurfaceSamples) -> np.ndarray:

@@ -19,6 +19,7 @@ from ..planner import (
     Settings,
     Took,
     beyond_noise,
+    cheap_rays,
     first_try,
     fit,
     needs_panes,
@@ -105,6 +106,8 @@ def settle(scene: Scene, settings: Settings, clock: Clock, kept: Kept) -> Settle
         took = _took(made, spent, {name: clock.traced[name] - traced.get(name, 0) for name in STAGES})
     wanted = refine(settings, judged, surfaces.at_points)
     made.budget = replace(made.budget, exit_rays=wanted.exit_rays)
+    if made.starts is not None:
+        made.budget = cheap_rays(settings, made.budget, len(made.exits))
     last = judged[-1]
     met = beyond_noise(last) <= SURE * settings.error_target
     tight = _within(wanted, settings, surfaces).entries < wanted.entries

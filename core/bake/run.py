@@ -13,7 +13,7 @@ from ..panes import Panes
 from ..panes.exits import gather_panes, joined, smooth_panes
 from ..panes.regions import region_of
 from ..panes.trust import concentration
-from ..planner import MOST_ENTRIES, Settings, few_points, more_points, no_more_points
+from ..planner import MOST_ENTRIES, SURE, Budget, Settings, few_points, more_points, no_more_points
 from ..rays import CHUNK
 from ..scene import Scene, SceneError
 from ..transfer import Begun
@@ -30,6 +30,12 @@ from .verdict import Verdict, judge, shown_by_points, shown_by_texels, where_jud
 
 MISSED = 1.5
 """Error over the one asked for from which on the user is told."""
+
+WORTH_A_TRIAL = 0.75
+"""Points over those that were tried above which it is not tried whether they are enough, too."""
+
+HARDLY_MORE = 1.1
+"""Error over that with more points, up to which fewer do where most of it comes from elsewhere."""
 
 PARTS = {
     "panes": "in the panes",
@@ -174,28 +180,54 @@ def _enough_points(made: Prepared, settings: Settings, bound: str, clock: Clock)
     """
     if made.looks is None or bound in ("given", "time") or settings.time_budget or settings.points is not None:
         return _judged_points(made, settings, clock)
-    looked_at, wanted = where_judged(made), few_points(made.budget)
+    looked_at, planned = where_judged(made), made.budget
 
-    def tried():
-        made.budget = looked_at.budget = wanted
-        return _judged_points(looked_at, settings, clock)[1]
+    def tried(budget):
+        looked_at.budget = budget
+        clock.start(Clock.JUDGING)
+        verdict = _judged_points(looked_at, settings, clock.pilot())[1]
+        clock.stop()
+        return verdict
 
     def more(verdict):
         return None if verdict is None else more_points(settings, made.budget, verdict.error, verdict.exits)
 
-    found = tried()
-    if found is not None:
-        # parts that make up for each other here may not do so everywhere
-        most = max(found.error, float(np.linalg.norm([found.panes, found.exits, found.entries])))
-        made.budget = no_more_points(settings, made.budget, most, found.exits)
+    made.budget = few_points(planned)
+    found = tried(made.budget)
     wanted = more(found)
+    if found is None:
+        made.budget = planned
+    elif wanted is None:
+        made.budget = _fewest_points(settings, made.budget, found, tried)
     while True:
         while wanted is not None:
-            wanted = more(tried())
+            made.budget = wanted
+            wanted = more(tried(wanted))
         stored, verdict = _judged_points(made, settings, clock)
         wanted = more(verdict)
         if wanted is None:
             return stored, verdict
+
+
+def _fewest_points(
+    settings: Settings, budget: Budget, found: Verdict, tried: Callable[[Budget], Verdict | None]
+) -> Budget:
+    """The budget, whose points are enough, with the fewest that are. tried: what a bake with others is found to be."""
+    most = max(SURE * settings.error_target, HARDLY_MORE * _doubtful(found))
+    while found is not None and _doubtful(found) <= most:
+        enough = budget
+        errors = found.error, _doubtful(found)
+        cuts = [no_more_points(settings, enough, error, found.exits) for error in errors]
+        budget = max(cuts, key=lambda cut: cut.points)
+        if budget.points > WORTH_A_TRIAL * enough.points:
+            break
+        found = tried(budget)
+    return enough
+
+
+def _doubtful(found: Verdict) -> float:
+    """An error, or what it is where parts that make up for each other at the judged places do not."""
+    return max(found.error, float(np.linalg.norm([found.panes, found.exits, found.entries])))
 
 
 def _judged_points(made, settings, clock):

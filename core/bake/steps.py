@@ -63,8 +63,9 @@ class Prepared:
     """Everything but the exits' gather.
 
     exits: where texels are the exits, the valid ones, sorted by region, and starts: (regions + 1,) where each region's
-    begin; where points are, all texels, and no starts. vertices: places of objects that are lit at their vertices.
-    is_buried: tells of places whether they lie inside solid things; buried: how many texels were found to. tables:
+    begin; where points are, all texels that nothing covers, and no starts. vertices: places of objects that are lit at their
+    vertices. is_buried: tells of places whether they lie inside solid things; buried: how many texels are covered, or, where
+    texels are the exits, were found to lie inside things. tables:
     (regions, ids, c) what a ray that lands on an id brings: the region's modes, then, where the scene has light that no
     live lamp changes, its bounces (3) and, where sky or faces shine, their first hit (3). guide: (1, ids, c) radiosity
     of a few lamps, None where texels are the exits. test_lamps: held-out ones, of unit power, and test_direct: (n, l) the

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from lightpanes.core import planner
 from lightpanes.core.bake import Bake, bake, rounds, run, verdict
+from lightpanes.core.bake.clock import Clock
 from lightpanes.core.bake.stored import bake_points
 from lightpanes.core.planner import Settings, plan, uses_points
 from lightpanes.core.point_cache import Weights
@@ -219,6 +220,34 @@ def test_trials_of_more_points_serve_judged_places_alone_and_leave_no_trace(monk
     at_once = bake(place, settings)
     assert np.array_equal(found.panes().rows, at_once.panes().rows)
     assert found.report["error"] == at_once.report["error"]
+
+
+@pytest.mark.parametrize(("error", "points"), [(0.05, 32), (0.5, 80)])
+def test_fewer_points_are_tried_at_judged_places_first(monkeypatch, error, points):
+    """Where they are found to be too few, it is what was enough that all places get."""
+    served, shown, found = [], [], iter([0.05, error, 0.05, 0.05])
+    monkeypatch.setattr(verdict, "BLOCKS", 16)
+    monkeypatch.setattr(rounds, "plan", lambda *_: planner.Budget(150, 64, 32, 4, 4, 30, 320, 64))
+    monkeypatch.setattr(rounds, "ROUNDS", 0)
+    monkeypatch.setattr(planner, "FEWEST_POINTS", 30)
+    monkeypatch.setattr(run, "more_points", lambda *_: None)
+    judge = run.judge
+
+    def judged(*given):
+        return replace(judge(*given), error=next(found), panes=0.0, exits=0.01, entries=0.0)
+
+    def counted(made, *rest):
+        served.append((len(made.exits), made.budget.points, shown[-1].fraction))
+        return bake_points(made, *rest)
+
+    monkeypatch.setattr(run, "judge", judged)
+    monkeypatch.setattr(run, "bake_points", counted)
+    bake(room(lights=[LIGHT]), Settings(error_target=0.3, resolution=48, exits="points"), shown.append)
+    *trials, (places, last, fraction) = served
+    assert [number for _, number, _ in trials] == [80, 32] and last == points
+    assert all(place < 0.5 * places for place, _, _ in trials)
+    # what is shown of the whole is where the points' part begins
+    assert fraction <= Clock.STAGES["Caustics"]
 
 
 def test_detailed_meshes_want_more_points():

@@ -21,6 +21,7 @@ from lightpanes.core.planner import (
     SURE,
     Judged,
     Settings,
+    cheap_rays,
     few_points,
     first_try,
     more_points,
@@ -252,6 +253,17 @@ def test_rounds_end_at_the_target_and_not_far_below(power, target):
         if len(judged) > 1:
             assert look(replace(budget, entries=budget.entries // 2)).error > target
     assert look(budget).noise <= 0.401 * target
+
+
+def test_rays_at_few_texels_are_free():
+    """Beside those of entries and training lamps, which a large atlas outnumbers."""
+    settings = Settings()
+    budget = replace(plan(room(), settings), exit_rays=150)
+    traced = budget.entries * (budget.entry_rays + budget.lamps)
+    rays = [cheap_rays(settings, budget, texels).exit_rays for texels in (100, 10_000, 1_000_000)]
+    assert rays[0] == 2048 and 150 < rays[1] < 2048 and rays[2] == 150
+    assert rays[1] * 10_000 <= 0.51 * traced
+    assert cheap_rays(Settings(exit_rays=64), budget, 100).exit_rays == 64
 
 
 def test_where_no_entries_are_enough_the_most_are_tried_at_once():
