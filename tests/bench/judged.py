@@ -38,10 +38,10 @@ FINER = {"atrium": 512}
 
 LAMPS = 6
 
-SPP, MOST_SPP = 128, 4096
+SPP, MOST_SPP = 128, 1024
 """Samples a texel of each half: those that tell how noisy a reference is, and the most that it gets."""
 
-NOISE = 0.015
+NOISE = 0.02
 ROUGH = {"atrium": 0.2}
 """Relative RMSE on blocks that a reference's own noise may make, which is subtracted: about half of what it is to measure."""
 
