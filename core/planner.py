@@ -54,6 +54,9 @@ FALL, FALL_SPREAD = 0.65, 0.15
 STEEPEST = 0.9
 """The largest power that is believed."""
 
+HOPELESS = 3.0
+"""Entries that an error asks for, over the most, from which on no freak of one trial explains it."""
+
 FREAK = 0.15
 """How far one trial's error is from where others say that it should be, as a part of it: where regions end is chance."""
 
@@ -239,7 +242,7 @@ def refine(settings: Settings, judged: list[Judged], at_points: bool, whole: boo
     goal = max((GOAL * target) ** 2 - noise**2, (0.3 * target) ** 2) ** 0.5
     # a step too far costs more than one more step
     most = 6.0 if len(judged) == 1 else 2.5
-    if last.budget.entries * (size / goal) ** (1 / STEEPEST) > MOST_ENTRIES:
+    if last.budget.entries * (size / goal) ** (1 / STEEPEST) > HOPELESS * MOST_ENTRIES:
         # but where all steps lead to the most, those between are for nothing
         most = np.inf
     times = np.clip(_asked(judged, goal) / last.budget.entries, 1.25 if whole else 0.0, most)
