@@ -15,7 +15,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 SESSION = Path(__file__).with_name("session.py")
-SECONDS = 560
+SECONDS = 1500
 
 
 def blender() -> str | None:
