@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ..core import metrics
 from ..core.bake import Progress, Settings
 from ..core.panes.training import free_air, room_around
 from ..core.rays import Bvh, Tracer
@@ -268,11 +267,10 @@ def _truths(context, lamp, tests, resolution, steps, indirect) -> list[Truth]:
             found = indirect(context, resolution, spp, 90 + number, progress=begin)
             if not found.image[found.mask].any():
                 raise SceneError("The test lamps light nothing: every surface is black, or none scatters light.")
-            noise = metrics.compare(found.image, found.image, found.mask, reference_halves=tuple(found.halves)).noise
-            return Truth(found, noise)
+            return Truth(found, found.noise)
 
         truth = find(REFERENCE_SPP)
-        more = min(int(np.ceil(REFERENCE_SPP * (truth.noise / REFERENCE_NOISE) ** 2)), most)
+        more = min(truth.reference.samples_for(REFERENCE_NOISE), most)
         truths.append(find(more) if more > REFERENCE_SPP else truth)
     return truths
 

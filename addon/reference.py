@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
+from ..core.metrics import compare
 from ..core.scene import SceneError
 from . import linking
 from .atlas import LAYER
@@ -55,6 +56,15 @@ class Reference:
     def image(self) -> np.ndarray:
         """(H, W, 3) float32: the mean of the halves."""
         return self.halves.mean(axis=0)
+
+    @property
+    def noise(self) -> float:
+        """Relative RMSE on blocks that noise alone makes of `image`."""
+        return compare(self.image, self.image, self.mask, reference_halves=tuple(self.halves)).noise
+
+    def samples_for(self, noise: float) -> int:
+        """Samples a texel that each half of a reference as noisy as that takes: noise falls with their root."""
+        return int(np.ceil(self.spp * (self.noise / noise) ** 2))
 
 
 def indirect(

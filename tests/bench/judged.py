@@ -18,16 +18,15 @@ from lightpanes.addon import lamps
 from lightpanes.addon.atlas import make_atlas
 from lightpanes.addon.extract import extract
 from lightpanes.core import metrics
-from lightpanes.core.bake.live import DIM
+from lightpanes.core.bake.live import DIM, grey
 from lightpanes.core.caustics import casters
-from lightpanes.core.lights import irradiance
 from lightpanes.core.panes import Relighter
+from lightpanes.core.panes.entry_light import EntryLight, EntrySurface
 from lightpanes.core.panes.held_out import held_out_lamps
 from lightpanes.core.rays import Bvh, Tracer
 from lightpanes.core.scene import Light, Scene
 from lightpanes.core.surface import make_patches, make_texels
-from lightpanes.core.transfer import find_entries, make_gatherer
-from lightpanes.core.transfer.entries import PLACES
+from lightpanes.core.transfer import find_entries, make_gatherer, make_transport
 from mathutils import Matrix, Vector
 
 from . import cycles, scenes
@@ -110,11 +109,11 @@ def truths(name: str, scene: Scene) -> list[Truth]:
 def _reference(name, script):
     """Light of the scene as it stands, from as many samples as its noise asks for."""
     found = cycles.reference_indirect(bpy.context, resolution(name), SPP, script=script)
-    noise = metrics.compare(found.image, found.image, found.mask, reference_halves=tuple(found.halves)).noise
-    more = (noise / ROUGH.get(name, NOISE)) ** 2
-    if more <= 1:
+    asked = found.samples_for(ROUGH.get(name, NOISE))
+    if asked <= SPP:
         return found
-    spp = min(SPP << int(np.ceil(np.log2(more))), MOST_SPP)
+    # by powers of two, so that a little more noise makes no other reference
+    spp = min(SPP << int(np.ceil(np.log2(asked / SPP))), MOST_SPP)
     return cycles.reference_indirect(bpy.context, resolution(name), spp, script=script)
 
 
@@ -137,29 +136,16 @@ def judging_lamps(scene: Scene, count: int = LAMPS) -> list[Light]:
     lamps, own = held_out_lamps(scene, entries.places, gatherer, count, SEED)
     others, theirs = held_out_lamps(scene, entries.places, gatherer, POOL, SEED + 1)
     others = [lamp for lamp, is_own in zip(others, theirs, strict=True) if not is_own]
-    light = _passed_on(lamps + others, entries, gatherer, tracer)
+    surface = EntrySurface.of(entries, patches, entries.places, tracer.offset)
+    eyes = EntryLight(surface, tracer, SEED, few=1)
+    direct = np.stack([grey(eyes.unit(lamp)) for lamp in lamps + others], 1)
+    passed_on = make_transport(entries, gatherer, MEETING, SEED).arriving(
+        entries.albedo.mean(axis=1, keepdims=True) * direct
+    )
+    light = entries.area @ passed_on
     least = DIM * np.median(light[len(lamps) :])
     bright = iter(lamp for lamp, gives in zip(others, light[len(lamps) :], strict=True) if gives >= least)
     return [lamp if own[k] or light[k] >= least else next(bright) for k, lamp in enumerate(lamps)]
-
-
-def _passed_on(lamps, entries, gatherer, tracer):
-    """(l,) light of lamps that goes from one entry to another, by what a few rays of each entry meet."""
-    some = entries.places.take(slice(None, None, PLACES))
-    meets = np.zeros(len(some))
-
-    def consume(piece, ids):
-        meets[piece] += (ids < len(entries)).sum(axis=0) / MEETING
-
-    gatherer.gather(some, MEETING, SEED, consume)
-    leaving = entries.area * entries.albedo.mean(axis=1) * meets
-    lifted = some.position + some.flat * np.float32(tracer.offset)
-
-    def arriving(lamp):
-        found = irradiance(lamp, lifted, some.normal, tracer.visibility, 1, SEED)
-        return found if found.ndim == 1 else found.mean(axis=1)
-
-    return np.array([leaving @ arriving(lamp) for lamp in lamps])
 
 
 def judge(scene: Scene, result, known: list[Truth]) -> list[metrics.Comparison]:

@@ -209,7 +209,7 @@ def test_trials_of_more_points_serve_judged_places_alone_and_leave_no_trace(monk
     monkeypatch.setattr(run, "bake_points", counted)
     # few are judged, or there would be no others
     monkeypatch.setattr(verdict, "BLOCKS", 16)
-    settings = Settings(error_target=0.3, resolution=48, exits="points")
+    settings = Settings(error_target=0.01, resolution=48, exits="points")
     found = bake(place, settings)
     some, again, once_more, last = served
     assert last > 2 * some and some == again == once_more

@@ -16,6 +16,7 @@ from lightpanes.core.panes.regions import region_of
 from lightpanes.core.panes.training import NAME, room_around
 from lightpanes.core.planner import (
     FALL,
+    FEWEST_POINTS,
     MOST_ENTRIES,
     RAYS_FALL,
     SURE,
@@ -294,13 +295,14 @@ def test_no_more_points_than_the_error_asks_for():
     # their part of the error falls with the root of their number
     share = 0.02**2 * budget.points / fewer.points + 0.035**2 - 0.02**2
     assert fewer.points < budget.points and 0.9 * SURE * 0.05 < share**0.5 <= SURE * 0.05
-    few = replace(budget, points=300)
+    few = replace(budget, points=FEWEST_POINTS)
     assert few_points(few) == no_more_points(settings, few, 0.01, 0.005) == few
 
 
 def test_a_small_target_takes_more_rounds():
     scene, found = room(lights=[lamp((3, 1.5, 2))]), []
     for target in (0.3, 0.05):
+        # in a small atlas many rays are free
         settings = Settings(error_target=target, resolution=128)
         settled = settle(scene, settings, Clock(), Kept())
         assert settled.bound == "error"
