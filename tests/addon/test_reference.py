@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("bpy")
 
-from lightpanes.addon.reference import Reference  # noqa: E402
+from lightpanes.addon.reference import Reference
 
 
 def test_noise_of_a_reference():
