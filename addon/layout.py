@@ -123,6 +123,8 @@ def _attempt(meshes, layouts, density, grid):
     """Everything at `density` cells per metre: (UVs per mesh, places per object), or None if it doesn't fit."""
     singles = [i for i, mesh in enumerate(meshes) if not mesh.shared]
     blocks, sizes = {}, []
+    areas = [layout.areas.sum() * (mesh.ratios * density) ** 2 for mesh, layout in zip(meshes, layouts, strict=True)]
+    used = sum(area.sum() for area in areas)
     for i, mesh in enumerate(meshes):
         if mesh.shared:
             # packed for its smallest user, so that the others' margins are only wider
@@ -131,6 +133,10 @@ def _attempt(meshes, layouts, density, grid):
             if block is None:
                 return None
             blocks[i] = block
+            used += (block[1].prod() * (mesh.ratios / least) ** 2 - areas[i]).sum()
+            if used > grid**2:
+                # the gaps alone are too many, however the rest is packed
+                return None
             sizes.extend((i, k, block[1] * (ratio / least)) for k, ratio in enumerate(mesh.ratios))
     charts = _together(
         [layouts[i] for i in singles],

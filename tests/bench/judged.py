@@ -35,7 +35,7 @@ RESOLUTION = 128
 FINER = {"atrium": 512}
 """Texels a side of scenes whose charts need more."""
 
-LAMPS = 6
+LAMPS = 12
 
 SPP, MOST_SPP = 128, 1024
 """Samples a texel of each half: those that tell how noisy a reference is, and the most that it gets."""

@@ -51,14 +51,15 @@ def brute_force(light, points, normals, detail=200):
             if light.shape in ("DISK", "ELLIPSE"):
                 keep = (2 * u - 1) ** 2 + (2 * v - 1) ** 2 <= 1
                 a, b, area = a[keep], b[keep], area * np.pi / 4
-            way = light.position + a[:, None] * axes[:, 0] + b[:, None] * axes[:, 1] - point
-            d2 = (way**2).sum(1)
-            away = np.maximum(way @ axes[:, 2], 0) / np.sqrt(d2)
+            # in the lamp's own coordinates
+            (x, y, z), (nx, ny, nz) = (point - light.position) @ axes, normal @ axes
+            d2 = (a - x) ** 2 + (b - y) ** 2 + z**2
+            away = np.maximum(-z, 0) / np.sqrt(d2)
             radiance = 1 / (np.pi * area)
             if light.spread < np.pi:
                 half, tangent = light.spread / 2, np.sqrt(np.maximum(1 / np.maximum(away, 1e-9) ** 2 - 1, 0))
                 radiance = radiance * np.maximum(np.tan(half) - tangent, 0) / (np.tan(half) - half)
-            value = radiance * np.maximum(way @ normal, 0) / np.sqrt(d2) * away / d2
+            value = radiance * np.maximum((a - x) * nx + (b - y) * ny - z * nz, 0) / np.sqrt(d2) * away / d2
             out.append(value.mean() * area)
             continue
         if light.kind == "SUN":
@@ -78,14 +79,14 @@ def brute_force(light, points, normals, detail=200):
         cap = 1 - np.sqrt(1 - sine2)
         z, angle = 1 - u * cap, 2 * np.pi * v
         sine = np.sqrt(1 - z * z)
-        direction = z[:, None] * middle + (sine * np.cos(angle))[:, None] * side
-        direction += (sine * np.sin(angle))[:, None] * np.cross(middle, side)
-        value = radiance * np.maximum(direction @ normal, 0) * 2 * np.pi * cap
+        direction = np.stack([z, sine * np.cos(angle), sine * np.sin(angle)])
+        frame = np.stack([middle, side, np.cross(middle, side)])
+        value = radiance * np.maximum(frame @ normal @ direction, 0) * 2 * np.pi * cap
         if light.kind == "SPOT":
-            local = direction @ axes / [*light.size, 1.0]
-            local /= np.linalg.norm(local, axis=1, keepdims=True)
+            local = (frame @ axes / [*light.size, 1.0]).T @ direction
+            local /= np.linalg.norm(local, axis=0)
             edge = np.cos(light.spot_angle / 2)
-            value = value * smoothstep((local[:, 2] - edge) / ((1 - edge) * light.spot_blend))
+            value = value * smoothstep((local[2] - edge) / ((1 - edge) * light.spot_blend))
         out.append(value.mean())
     return np.array(out)
 

@@ -14,6 +14,7 @@ from lightpanes.core.point_cache import Weights
 from lightpanes.core.point_cache.codes import decode, encode, weight_bits
 from lightpanes.core.scene import SceneError, SceneObject
 from lightpanes.core.surface import make_vertices
+from lightpanes.tests.frugal import save_rays
 
 from .shapes import box, grid, lamp, quick, relighter, room, room_parts, scene
 
@@ -192,6 +193,7 @@ def test_a_time_budget_cuts_the_exits_rays(exits):
 @pytest.mark.parametrize("at_vertices", [False, True])
 def test_trials_of_more_points_serve_judged_places_alone_and_leave_no_trace(monkeypatch, at_vertices):
     place, planned, served = room(lights=[LIGHT]), planner.Budget(150, 64, 32, 4, 4, 30, 60, 64), []
+    save_rays(monkeypatch)
     if at_vertices:
         points, faces, flat = grid((0.1, 0.1, 0.2), (3.8, 0, 0), (0, 2.8, 0), 24)
         place = scene(room_parts()[0], (points, faces, flat, 0), lights=[LIGHT])
@@ -226,6 +228,7 @@ def test_trials_of_more_points_serve_judged_places_alone_and_leave_no_trace(monk
 def test_fewer_points_are_tried_at_judged_places_first(monkeypatch, error, points):
     """Where they are found to be too few, it is what was enough that all places get."""
     served, shown, found = [], [], iter([0.05, error, 0.05, 0.05])
+    save_rays(monkeypatch)
     monkeypatch.setattr(verdict, "BLOCKS", 16)
     monkeypatch.setattr(rounds, "plan", lambda *_: planner.Budget(150, 64, 32, 4, 4, 30, 320, 64))
     monkeypatch.setattr(rounds, "ROUNDS", 0)
