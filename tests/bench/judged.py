@@ -18,6 +18,7 @@ from lightpanes.addon import lamps
 from lightpanes.addon.atlas import make_atlas
 from lightpanes.addon.extract import extract
 from lightpanes.core import metrics
+from lightpanes.core.bake.kept import digest
 from lightpanes.core.bake.live import DIM, grey
 from lightpanes.core.caustics import casters
 from lightpanes.core.panes import Relighter
@@ -47,6 +48,9 @@ ROUGH = {"atrium": 0.2}
 SEED = 9000
 POOL = 48
 """Lamps of which those in the air stand in for others that light hardly anything."""
+
+FINE = 2048
+"""Texels a side of the atlas that tells which texels are buried in part."""
 
 MEETING = 64
 """Rays of an entry that tell how much of what leaves it another one gets."""
@@ -128,10 +132,8 @@ def _shrink(data: bpy.types.Light) -> None:
 def judging_lamps(scene: Scene, count: int = LAMPS) -> list[Light]:
     """The lamps, the same whatever bake they judge. Those in the air that light hardly anything, outside or in a crack, give
     way to others, as where a bake chooses its own."""
-    texels, tracer = make_texels(scene, RESOLUTION), Tracer(scene)
-    patches = make_patches(scene, 1000, SEED, tracer)
-    bvh = Bvh(patches.corners)
-    entries, _, _ = find_entries(scene, patches, bvh, texels.samples, tracer.offset, SEED)
+    tracer = Tracer(scene)
+    patches, bvh, entries, _ = _entries(scene, tracer)
     gatherer = make_gatherer(scene, patches, entries, bvh, tracer.offset)
     lamps, own = held_out_lamps(scene, entries.places, gatherer, count, SEED)
     others, theirs = held_out_lamps(scene, entries.places, gatherer, POOL, SEED + 1)
@@ -148,13 +150,22 @@ def judging_lamps(scene: Scene, count: int = LAMPS) -> list[Light]:
     return [lamp if own[k] or light[k] >= least else next(bright) for k, lamp in enumerate(lamps)]
 
 
+def _entries(scene, tracer):
+    """Patches, their hierarchy, entries, and what tells whether places are buried, the same whatever bake is judged."""
+    patches = make_patches(scene, 1000, SEED, tracer)
+    bvh = Bvh(patches.corners)
+    exits = make_texels(scene, RESOLUTION).samples
+    entries, _, is_buried = find_entries(scene, patches, bvh, exits, tracer.offset, SEED)
+    return patches, bvh, entries, is_buried
+
+
 def judge(scene: Scene, result, known: list[Truth]) -> list[metrics.Comparison]:
     """A bake's light against each truth."""
     focusing = casters(scene)
     # as in Cycles, what focuses a lamp's light casts a shadow of it
     relighter = Relighter(result.panes(), Tracer(scene, solid=None if focusing is None else focusing.triangles))
     steady = relighter.relight(())[..., :3].copy()
-    whole = ~half_buried(scene, result)
+    whole = ~half_buried(scene, result.resolution)
     found = []
     for truth in known:
         ours = relighter.relight(truth.lights)[..., :3] - steady
@@ -164,14 +175,27 @@ def judge(scene: Scene, result, known: list[Truth]) -> list[metrics.Comparison]:
     return found
 
 
-def half_buried(scene: Scene, result) -> np.ndarray:
-    """(H, W) bool: texels beside one that lies inside a thing. Cycles averages over all of a texel, the dark part inside the
-    thing as well; what is seen of it is the other part, and that is what a bake holds."""
-    buried = np.zeros(result.own.shape, bool)
-    buried.reshape(-1)[make_texels(scene, result.resolution).index] = True
-    padded = np.pad(buried & ~result.own, 1)
-    height, width = buried.shape
-    return np.any([padded[dy : dy + height, dx : dx + width] for dy in range(3) for dx in range(3)], axis=0)
+def half_buried(scene: Scene, resolution: int) -> np.ndarray:
+    """(H, W) bool: texels of which a part lies inside a thing, be it the foot of a box that ends 1 cm below the floor. Cycles
+    averages over all of a texel, the dark part as well; what is seen of it is the other part, and that is what a bake holds."""
+    key = digest(scene.positions, scene.triangles, scene.atlas_uv), resolution
+    if key not in _buried:
+        _buried[key] = _buried_in_part(scene, resolution)
+    return _buried[key]
+
+
+def _buried_in_part(scene, resolution):
+    times = max(FINE // resolution, 1)
+    texels = make_texels(scene, times * resolution)
+    is_buried = _entries(scene, Tracer(scene))[3]
+    row, column = np.divmod(texels.index[is_buried(texels.samples)], times * resolution)
+    found = np.zeros((resolution, resolution), bool)
+    found[row // times, column // times] = True
+    return found
+
+
+_buried: dict[tuple[bytes, int], np.ndarray] = {}
+"""By scene: one is judged many times."""
 
 
 class _Builder:

@@ -51,7 +51,7 @@ def watch(name: str, size: int, target: float, truth: Settings) -> list[dict]:
     relighter, expected = Relighter(baked.panes(), Tracer(made)), expected_of(baked.report)
     mask = np.zeros(size * size, bool)
     mask[fine.exits.index] = True
-    mask = mask.reshape(size, size) & baked.own & ~judged.half_buried(made, baked)
+    mask = mask.reshape(size, size) & baked.own & ~judged.half_buried(made, baked.resolution)
     found = []
     for path in sweeps.HELD_OUT[name].values():
         for lamp in sweeps.lamps(path, FRAMES):
