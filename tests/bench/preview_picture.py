@@ -21,6 +21,8 @@ def main() -> None:
     scene.render.image_settings.file_format = "PNG"
     scene.render.image_settings.color_mode = "RGB"
     scene.render.image_settings.compression = 100
+    # where the file lies is nobody's business
+    scene.render.use_stamp_filename = False
     scene.render.filepath = str(target)
     bpy.ops.render.render(write_still=True)
     print(f"Wrote {target}")
