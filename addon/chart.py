@@ -22,7 +22,7 @@ from ..core.transfer import find_entries, make_gatherer
 from ..core.transfer.entries import PLACES
 from . import atlas, baking, caustics, denoised, lamps, methods, preview_study, reference, relight, rungs, store
 from .extract import extract
-from .rungs import Bakes, Steps, Truth, point
+from .rungs import Bakes, Steps, point
 from .studies import STUDIES, Subject
 from .trees import surface_output
 
@@ -115,7 +115,7 @@ def measure(
     tests = find_lamps(scene, resolution, seed)
     wanted = [WAYS[name] for name in WAYS if name in names]
     found: dict[str, list[dict]] = {}
-    truths: list[Truth] = []
+    truths: list[reference.Reference] = []
     with relight.paused():
         lamp = _put_lamp(context)
         if wanted:
@@ -141,7 +141,7 @@ def measure(
         "seed": seed,
         "triangles": len(scene.triangles),
         "error": "RMSE over RGB / mean, 4×4-texel blocks, reference noise subtracted, mean over the lamps",
-        "reference_spp": [2 * truth.reference.spp for truth in truths],
+        "reference_spp": [2 * truth.spp for truth in truths],
         "reference_noise": [round(truth.noise, 5) for truth in truths],
         "lamps": [{"kind": t.kind, "place": [round(x, 4) for x in t.place], "room_m": round(t.room, 4)} for t in tests],
         "methods": found,
@@ -252,7 +252,7 @@ def _move(context, lamp, test) -> tuple:
     return tuple(light for light in shining if light.power.any())
 
 
-def _truths(context, lamp, tests, resolution, steps, indirect) -> list[Truth]:
+def _truths(context, lamp, tests, resolution, steps, indirect) -> list[reference.Reference]:
     """A reference for each test lamp, of as many samples as its noise asks for, if they take no more than REFERENCE_TIME."""
     rate = resolution**2 / PATHS
     most = max(int(REFERENCE_TIME / (2 * rate)), REFERENCE_SPP)
@@ -267,10 +267,10 @@ def _truths(context, lamp, tests, resolution, steps, indirect) -> list[Truth]:
             found = indirect(context, resolution, spp, 90 + number, progress=begin)
             if not found.image[found.mask].any():
                 raise SceneError("The test lamps light nothing: every surface is black, or none scatters light.")
-            return Truth(found, found.noise)
+            return found
 
         truth = find(REFERENCE_SPP)
-        more = min(truth.reference.samples_for(REFERENCE_NOISE), most)
+        more = min(truth.samples_for(REFERENCE_NOISE), most)
         truths.append(find(more) if more > REFERENCE_SPP else truth)
     return truths
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ..core.metrics import compare
+from ..core import metrics
 from ..core.scene import SceneError
 from . import linking
 from .atlas import LAYER
@@ -57,10 +57,15 @@ class Reference:
         """(H, W, 3) float32: the mean of the halves."""
         return self.halves.mean(axis=0)
 
+    def compare(self, image: np.ndarray, valid: np.ndarray | None = None) -> metrics.Comparison:
+        """How far (H, W, 3) irradiance is from this, its own noise subtracted, at texels that are valid, (H, W) bool, too."""
+        mask = self.mask if valid is None else self.mask & valid
+        return metrics.compare(image, self.image, mask, reference_halves=tuple(self.halves))
+
     @property
     def noise(self) -> float:
         """Relative RMSE on blocks that noise alone makes of `image`."""
-        return compare(self.image, self.image, self.mask, reference_halves=tuple(self.halves)).noise
+        return self.compare(self.image).noise
 
     def samples_for(self, noise: float) -> int:
         """Samples a texel that each half of a reference as noisy as that takes: noise falls with their root."""

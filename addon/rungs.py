@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..core import metrics
 from ..core.bake import Progress, Settings
 from ..core.scene import Scene
-from . import methods, reference
+from . import methods
+from .reference import Reference
 
 OURS = next(name for name, way in methods.METHODS.items() if way is methods.eigenpanes)
 
@@ -77,19 +77,6 @@ class Steps:
             self.progress(Progress(self.stage, self.told, 0))
 
 
-@dataclass(frozen=True)
-class Truth:
-    """A test lamp's reference and the noise of it, relative RMSE on blocks."""
-
-    reference: reference.Reference
-    noise: float
-
-    def compare(self, image: np.ndarray, valid: np.ndarray | None = None) -> metrics.Comparison:
-        mask = self.reference.mask if valid is None else self.reference.mask & valid
-        halves = tuple(self.reference.halves)
-        return metrics.compare(image, self.reference.image, mask, reference_halves=halves)
-
-
 def point(errors, bake, each, **budget) -> dict:
     """A point of the chart: errors under each lamp, s of a bake and of each relight."""
     return {
@@ -104,7 +91,9 @@ def point(errors, bake, each, **budget) -> dict:
 class Rung:
     """One budget of a way: its errors, and the best times so far."""
 
-    def __init__(self, given: dict, settings: Settings, made: methods.Baked, shining: list[tuple], truths: list[Truth]):
+    def __init__(
+        self, given: dict, settings: Settings, made: methods.Baked, shining: list[tuple], truths: list[Reference]
+    ):
         self.given, self.settings, self.planned = given, settings, made.budget
         self.budget = {"entries": made.entries, "rays": made.rays, "bytes": made.bytes}
         self.errors = [
@@ -139,7 +128,7 @@ class Bakes:
     scene: Scene
     base: Settings
     shining: list[tuple]
-    truths: list[Truth]
+    truths: list[Reference]
     steps: Steps
     notes: list[str]
     slowest: float = 0.0

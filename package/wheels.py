@@ -21,13 +21,13 @@ class WheelError(Exception):
     """A wheel can't be had; the message says which one and why."""
 
 
-def pinned(name: str = "embreex") -> str:
-    """`name==version` as in requirements/, where all locks must agree. Raises WheelError where they don't."""
+def pinned() -> str:
+    """`embreex==version` as in requirements/, where all locks must agree. Raises WheelError where they don't."""
     locks = sorted((ROOT / "requirements").glob("*.lock"))
     lines = {line.strip() for lock in locks for line in lock.read_text("utf-8").splitlines()}
-    found = sorted(line for line in lines if line.startswith(f"{name}=="))
+    found = sorted(line for line in lines if line.startswith("embreex=="))
     if len(found) != 1:
-        raise WheelError(f"requirements/ must pin one version of {name}, and pins {', '.join(found) or 'none'}.")
+        raise WheelError(f"requirements/ must pin one version of embreex, and pins {', '.join(found) or 'none'}.")
     return found[0]
 
 

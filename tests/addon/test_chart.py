@@ -23,7 +23,6 @@ from lightpanes.addon import (  # noqa: E402
     studies,
 )
 from lightpanes.addon.extract import extract  # noqa: E402
-from lightpanes.core import metrics  # noqa: E402
 from lightpanes.core.bake import Progress, Settings  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
 from lightpanes.tests.frugal import save_rays  # noqa: E402
@@ -125,9 +124,7 @@ def test_lamps_are_where_the_chart_says(placed):
 def test_ways_against_cycles(placed, name, error, bias):
     lit = reference.indirect(bpy.context, SIZE, 128)
     made = methods.METHODS[name](placed, SETTINGS, lambda part: None)
-    found = metrics.compare(
-        made.relight(placed.lights), lit.image, lit.mask & made.valid, reference_halves=tuple(lit.halves)
-    )
+    found = lit.compare(made.relight(placed.lights), made.valid)
     assert found.error < error
     assert abs(found.bias) < bias
     assert made.seconds > 0 and made.rays > 0 and made.bytes > 0
@@ -202,7 +199,7 @@ def test_glass_and_mirrors_are_alike_for_cycles_and_for_us(room, small):
     lights = tuple(scene.lights)
     truth = reference.indirect(bpy.context, SIZE, 64)
     made = methods.eigenpanes(scene, SETTINGS, lambda part: None)
-    found = chart.Truth(truth, 0.0).compare(made.relight(lights), made.valid)
+    found = truth.compare(made.relight(lights), made.valid)
     assert found.error < 0.12 and abs(found.bias) < 0.04
     assert chart.blacken() == []
 

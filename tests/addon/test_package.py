@@ -16,7 +16,6 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 import lightpanes  # noqa: E402
-from lightpanes.package import wheels  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 PYTHON = ".".join(map(str, sys.version_info[:2]))
@@ -90,10 +89,10 @@ def pip_finds(requirement, folder):
 def archive(tmp_path_factory):
     """The zip for this machine, for this Python alone."""
     if PLATFORM is None:
-        pytest.skip("embreex has no wheels for this system")
+        pytest.skip("Lightpanes is not packaged for this system")
     folder = tmp_path_factory.mktemp("package")
-    # something else that was installed, too: where pip finds that and no embreex, packaging is broken
-    if not (pip_finds(wheels.pinned(), folder) or pip_finds(wheels.pinned("pluggy"), folder)):
+    # not embreex, and no version by what is tested here: where pip finds anything, packaging has to work
+    if not pip_finds("pluggy", folder):
         pytest.skip("pip reaches no index, so there are no wheels to package")
     run = run_package("--platform", PLATFORM, "--python", PYTHON, "--output", folder)
     assert run.returncode == 0, run.stdout + run.stderr

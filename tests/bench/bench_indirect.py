@@ -54,9 +54,7 @@ def compare_sample(name: str, scene, result) -> list[tuple[scenes.Setting, metri
         if not setting.sky:
             ours -= steady
         reference = cycles.reference_indirect(bpy.context, RESOLUTION, setting.spp)
-        mask = reference.mask & valid_texels(result)
-        comparison = metrics.compare(ours, reference.image, mask, reference_halves=tuple(reference.halves))
-        found.append((setting, comparison))
+        found.append((setting, reference.compare(ours, valid_texels(result))))
     return found
 
 

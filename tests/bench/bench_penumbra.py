@@ -303,8 +303,8 @@ def shadow(name: str, lamp: str, frame: int, change: dict, resolution: int = 256
     mask[texels.index[texels.centred & joined(texels).all(axis=1)]] = True
     mask &= _surrounded(texels, resolution)
     # texels inside of other things get whatever their rays start in
-    mask = mask.reshape(resolution, resolution) & reference.mask & bake(scene, Settings(0.2, resolution=resolution)).own
-    return metrics.compare(image, reference.image, mask, reference_halves=tuple(reference.halves)), spent
+    mask = mask.reshape(resolution, resolution) & bake(scene, Settings(0.2, resolution=resolution)).own
+    return reference.compare(image, mask), spent
 
 
 def _surrounded(texels, resolution):

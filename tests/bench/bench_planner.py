@@ -1,18 +1,20 @@
 """The planner: whether a bake's own error is the true one, and whether budgets by trial meet what was asked for.
 
 The truth is Cycles', under lamps of the kind that bakes judge themselves by, but other ones (judged.py). `PART` in the
-environment runs one of the parts alone: estimate, target, larger, time, budget. Whether the default bake is a good one is
-read from the charts (bench_charts.py).
+environment runs one of the parts alone: estimate, target, larger, time, budget; `SCENE` one scene of the estimate's. Whether
+the default bake is a good one is read from the charts (bench_charts.py).
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from functools import cache
 
 import numpy as np
 from lightpanes.core import metrics
 from lightpanes.core.bake import Bake, Settings, bake
+from lightpanes.core.scene import Scene
 
 from . import harness, judged
 
@@ -49,10 +51,10 @@ TIMES = (("stairs", 8.0), ("cornell", 15.0), ("stairs", 25.0))
 
 
 def rows() -> Iterator[dict]:
-    part = os.environ.get("PART", "")
+    part, scene = os.environ.get("PART", ""), os.environ.get("SCENE", "")
     made = {}
     if part in ("", "estimate"):
-        for name in judged.NAMES:
+        for name in [scene] if scene else judged.NAMES:
             yield _estimate(name, made)
     if part in ("", "target"):
         yield from _targets(made)
@@ -70,10 +72,17 @@ def _bake(name: str, made: dict, **settings) -> tuple[Bake, float]:
     settings = {"error_target": 0.05} | settings
     key = name, tuple(sorted(settings.items()))
     if key not in made:
-        scene = judged.open_scene(name)
+        scene, known = _judged(name)
         result = bake(scene, Settings(resolution=judged.resolution(name), **settings))
-        made[key] = result, metrics.mean_error(judged.judge(scene, result, judged.truths(name, scene)))
+        made[key] = result, metrics.mean_error(judged.judge(scene, result, known))
     return made[key]
+
+
+@cache
+def _judged(name: str) -> tuple[Scene, list[judged.Truth]]:
+    """A scene and what Cycles says of it."""
+    scene = judged.open_scene(name)
+    return scene, judged.truths(name, scene)
 
 
 def _estimate(name, made):
@@ -121,9 +130,8 @@ def _times(made):
 
 def _in_time(name, seconds):
     """A target out of reach, so that the time binds."""
-    scene = judged.open_scene(name)
     settings = Settings(resolution=judged.resolution(name), error_target=0.005, time_budget=seconds)
-    report = bake(scene, settings).report
+    report = bake(judged.open_scene(name), settings).report
     away = abs(report["seconds"] - seconds)
     ok = report["bound"] == "time" and away <= max(0.1 * seconds, 1.0)
     detail = f"{report['seconds']:.1f} s of {seconds:.0f}, {report['entries']} entries, bound by {report['bound']}"

@@ -96,8 +96,7 @@ def _fixed(name: str) -> tuple[float, float]:
         result = bake(scene, Settings())
         spent.append(time.perf_counter() - started)
         image = Relighter(result.panes(), Tracer(scene)).relight(())[..., :3]
-        mask = truth.mask & bench_indirect.valid_texels(result)
-        errors.append(metrics.compare(image, truth.image, mask, reference_halves=tuple(truth.halves)).error)
+        errors.append(truth.compare(image, bench_indirect.valid_texels(result)).error)
     return float(np.mean(errors)), float(np.mean(spent))
 
 
@@ -117,7 +116,7 @@ def _cycles(name: str, spp: int, seed: int) -> tuple[float, float]:
     for setting, _ in scenes.settings(name):
         truth = cycles.reference_indirect(bpy.context, RESOLUTION, setting.spp)
         image, _, spent = cycles.cycles_bake(bpy.context, {"INDIRECT"}, RESOLUTION, spp, 100 + seed)
-        found = metrics.compare(image, truth.image, truth.mask, reference_halves=tuple(truth.halves))
+        found = truth.compare(image)
         errors.append(found.error)
         seconds.append(spent)
     return float(np.mean(errors)), float(np.mean(seconds))
@@ -183,11 +182,7 @@ def paper_rows(name: str) -> Iterator[dict]:
     errors = []
     for setting, lights in scenes.settings(name):
         truth = cycles.reference_indirect(bpy.context, RESOLUTION, setting.spp)
-        errors.append(
-            metrics.compare(
-                made.relight(lights), truth.image, truth.mask & made.valid, reference_halves=tuple(truth.halves)
-            )
-        )
+        errors.append(truth.compare(made.relight(lights), made.valid))
     yield harness.row(
         f"the paper's way, {name}: virtual lights + {methods.CLUSTERS} clusters, whole bake",
         seconds,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import lightpanes
@@ -18,7 +18,6 @@ from lightpanes.addon import lamps
 from lightpanes.addon.atlas import make_atlas
 from lightpanes.addon.extract import extract
 from lightpanes.core import metrics
-from lightpanes.core.bake.kept import digest
 from lightpanes.core.bake.live import DIM, grey
 from lightpanes.core.caustics import casters
 from lightpanes.core.panes import Relighter
@@ -84,7 +83,8 @@ def open_scene(name: str) -> Scene:
 
 
 def truths(name: str, scene: Scene) -> list[Truth]:
-    """Cycles' light of the open scene under each judging lamp alone; kept in out/bench/cache."""
+    """Cycles' light of the open scene under each judging lamp alone, at texels no part of which is buried; kept in
+    out/bench/cache."""
     script = inspect.getsource(BUILT[name]) + inspect.getsource(_Builder) if name in BUILT else ""
     own = {item.name: item for item in bpy.context.scene.objects if item.type == "LIGHT"}
     for item in own.values():
@@ -94,6 +94,7 @@ def truths(name: str, scene: Scene) -> list[Truth]:
         # what glass focuses is no part of panes, and Cycles' paths find it from lamps with a size only
         for item in own.values():
             _shrink(item.data)
+    whole = ~half_buried(scene, resolution(name))
     data = bpy.data.lights.new("Judge", "POINT")
     data.energy, data.shadow_soft_size = 100.0, 0.0
     judge = bpy.data.objects.new("Judge", data)
@@ -105,7 +106,8 @@ def truths(name: str, scene: Scene) -> list[Truth]:
         judge.hide_render, item.hide_render = True, False
         bpy.context.view_layer.update()
         lights = lamps.read_lights(bpy.context.evaluated_depsgraph_get(), [])
-        found.append(Truth(lights, _reference(name, script)))
+        reference = _reference(name, script)
+        found.append(Truth(lights, replace(reference, mask=reference.mask & whole)))
         item.hide_render = True
     return found
 
@@ -165,26 +167,16 @@ def judge(scene: Scene, result, known: list[Truth]) -> list[metrics.Comparison]:
     # as in Cycles, what focuses a lamp's light casts a shadow of it
     relighter = Relighter(result.panes(), Tracer(scene, solid=None if focusing is None else focusing.triangles))
     steady = relighter.relight(())[..., :3].copy()
-    whole = ~half_buried(scene, result.resolution)
     found = []
     for truth in known:
         ours = relighter.relight(truth.lights)[..., :3] - steady
-        mask = truth.reference.mask & result.own & whole
-        halves = tuple(truth.reference.halves)
-        found.append(metrics.compare(ours, truth.reference.image, mask, reference_halves=halves))
+        found.append(truth.reference.compare(ours, result.own))
     return found
 
 
 def half_buried(scene: Scene, resolution: int) -> np.ndarray:
     """(H, W) bool: texels of which a part lies inside a thing, be it the foot of a box that ends 1 cm below the floor. Cycles
     averages over all of a texel, the dark part as well; what is seen of it is the other part, and that is what a bake holds."""
-    key = digest(scene.positions, scene.triangles, scene.atlas_uv), resolution
-    if key not in _buried:
-        _buried[key] = _buried_in_part(scene, resolution)
-    return _buried[key]
-
-
-def _buried_in_part(scene, resolution):
     times = max(FINE // resolution, 1)
     texels = make_texels(scene, times * resolution)
     is_buried = _entries(scene, Tracer(scene))[3]
@@ -192,10 +184,6 @@ def _buried_in_part(scene, resolution):
     found = np.zeros((resolution, resolution), bool)
     found[row // times, column // times] = True
     return found
-
-
-_buried: dict[tuple[bytes, int], np.ndarray] = {}
-"""By scene: one is judged many times."""
 
 
 class _Builder:

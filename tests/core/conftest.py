@@ -7,15 +7,13 @@ from lightpanes.tests.frugal import judge_lightly, save_rays, seek_lightly
 @pytest.fixture(scope="module", autouse=True)
 def lightly(request):
     """Bakes hardly look at their own error, which takes as long as all the rest of a small one and changes nothing of its
-    light where its budgets are given, and seek their entries from few places, but in modules that are marked as `thorough`;
-    in those that are marked as `seeking` they look little and seek as ever."""
+    light where its budgets are given, and seek their entries from few places, but in modules that are marked as `thorough`."""
     if request.node.get_closest_marker("thorough"):
         yield
         return
     with pytest.MonkeyPatch.context() as patch:
         judge_lightly(patch)
-        if not request.node.get_closest_marker("seeking"):
-            seek_lightly(patch)
+        seek_lightly(patch)
         yield
 
 

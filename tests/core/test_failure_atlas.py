@@ -10,7 +10,7 @@ from ..failures.registry import core_entries
 
 TESTS = Path(__file__).resolve().parents[1]
 
-pytestmark = pytest.mark.seeking
+pytestmark = pytest.mark.thorough
 
 
 @pytest.mark.parametrize("entry", core_entries(), ids=lambda entry: entry.slug)

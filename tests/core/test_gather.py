@@ -14,7 +14,7 @@ from .shapes import box, globe, quad, room, room_parts, scene
 from .test_rays import intersect
 from .test_surface import barycentric
 
-pytestmark = pytest.mark.seeking
+pytestmark = pytest.mark.thorough
 
 OFFSET = 1e-4
 

@@ -25,17 +25,14 @@ PLACE = (3.0, 1.5, 2.0)
 MEMORY = """
 import json
 from pathlib import Path
-import pytest
 from lightpanes.core.bake import bake
 from lightpanes.tests.core.shapes import lamp, quick, room
-from lightpanes.tests.frugal import judge_lightly
 
 def held(kind):
     line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith(kind))
     return int(line.split()[1]) / 1024
 
 made = room(lights=[lamp((3, 1.5, 2))])
-judge_lightly(pytest.MonkeyPatch())
 bake(made, quick())
 before = held("VmRSS")
 found = bake(made, quick(resolution=512, exits="points", points=1500, point_rays=64, entries=6000, regions=24, memory=0.35))

@@ -24,7 +24,7 @@ from .shapes import box, lamp, moved, quad, quick, room, room_parts, scene
 from .test_darts import crowded, inside, surveyed
 from .test_interpolation import anywhere
 
-pytestmark = pytest.mark.seeking
+pytestmark = pytest.mark.thorough
 
 
 def lit(ground: Ground, samples: SurfaceSamples, lights=None) -> np.ndarray:

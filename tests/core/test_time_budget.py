@@ -9,7 +9,7 @@ from lightpanes.core.planner import LEAST, Took, fit, part_of, plan
 
 from .shapes import lamp, room
 
-pytestmark = [pytest.mark.seeking, pytest.mark.usefixtures("frugal")]
+pytestmark = [pytest.mark.thorough, pytest.mark.usefixtures("frugal")]
 
 ASKED = Settings(error_target=0.03, resolution=64, points=1500)
 
