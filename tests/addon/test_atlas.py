@@ -5,7 +5,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from lightpanes.addon import atlas, charts, packing  # noqa: E402
+from lightpanes.addon import atlas, charts, layout, packing  # noqa: E402
 from lightpanes.addon.meshes import LAYER, loop_triangles, read_attribute  # noqa: E402
 from lightpanes.addon.snapshot import Snapshot  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
@@ -324,6 +324,47 @@ def test_charts_of_a_sheared_projection_are_true():
     sides = np.linalg.norm(layout.points - np.roll(layout.points, -1, axis=0), axis=1)
     np.testing.assert_allclose(sides, [2, np.sqrt(2), 2, np.sqrt(2)], rtol=1e-6)
     np.testing.assert_allclose(layout.areas, 2 * np.sqrt(2), rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_hopeless_layouts_are_those_that_packing_refuses(seed):
+    """An attempt that is given up for its blocks' sizes alone would not have been packed either."""
+    rng, grid = np.random.default_rng(seed), 64
+    meshes = [separate_triangles(rng, 3, rng.uniform(0.4, 1, users)) for users in (1, 2, 5, 9)]
+    laid = [charts.lay_flat(m.positions, m.corners, m.faces, m.triangles, m.uv) for m in meshes]
+    outcomes = set()
+    for density in np.geomspace(2, 40, 25):
+        sizes, fits = [], True
+        for mesh, flat in zip(meshes, laid, strict=True):
+            if mesh.shared:
+                block = layout._block(flat, density * mesh.ratios.min(), grid)
+                fits &= block is not None
+                sizes += [block[1] * ratio / mesh.ratios.min() for ratio in mesh.ratios] if block else []
+        if fits:
+            boxes = (np.ceil(np.array(sizes) - 1e-6) - 2 * packing.MARGIN - 2 * packing.INSET) / density
+            fits = packing.pack(layout._together(laid[:1], boxes), density, grid, grid) is not None
+        found = layout._attempt(meshes, laid, density, grid)
+        assert (found is not None) == fits
+        outcomes.add(fits)
+    assert outcomes == {True, False}
+
+
+def separate_triangles(rng, count, ratios):
+    """A mesh of triangles of about a metre, each a chart."""
+    corners = np.arange(3 * count)
+    cells = np.stack([np.arange(count) / count, np.zeros(count)], axis=1)
+    triangle = np.array([[0, 0], [0.8 / count, 0], [0, 0.8 / count]])
+    users = [f"{count}.{k}" for k in range(len(ratios))]
+    faces = corners.reshape(-1, 3)
+    return layout.Unwrapped(
+        users,
+        ratios,
+        rng.random((3 * count, 3)),
+        corners,
+        corners[::3],
+        faces,
+        (cells[:, None] + triangle).reshape(-1, 2),
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
