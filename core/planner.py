@@ -67,7 +67,7 @@ error: single texels in the shade, too dark to count in it, show their noise."""
 RAYS_FALL = 0.75
 """Power of the rays' number with which the noise of a gather falls: they are stratified."""
 
-MOST_RAYS = {"exit_rays": 2048, "point_rays": 8192}
+MOST_RAYS = {"exit_rays": 8192, "point_rays": 8192}
 """Of an exit, where time is left for them."""
 
 USUAL = 3750

@@ -17,9 +17,12 @@ from .spans import shared_leading
 FLOOR = 1e-5
 """Singular values below this part of a region's largest are noise, not light."""
 
-SPOT = 0.01
+SPOT = 0.003
 """Weight, beside a training lamp's field of mean 1, of a lamp so near to an entry that it lights no other."""
 
+LIT = 100
+"""Entries that a training lamp lights from which on it counts in full. One that lights fewer is so bright there, for a field of
+mean 1, that all panes of places which see these entries would follow it alone."""
 
 LARGE = 128
 """Rows of a region above which its modes are sought among as many of its fields' leading directions."""
@@ -48,7 +51,8 @@ class Modes:
 def training_fields(
     entries: Entries, transport: Transport, direct: np.ndarray, mixtures: int = 96, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Radiosities X (n, s) that lamps cause and the indirect fields Y = F X (n, s) that they make, of mean 1.
+    """Radiosities X (n, s) that lamps cause and the indirect fields Y = F X (n, s) that they make, of mean 1, or less where
+    few entries are lit.
 
     direct: (n, l) irradiance. Lamps take turns with red, green and blue albedo, since panes are shared by all
     three. Later bounces are smooth: random mixtures of lamps, `mixtures` a bounce for two bounces, are enough.
@@ -70,7 +74,10 @@ def training_fields(
     radiosity, field = np.concatenate(radiosity, 1), np.concatenate(field, 1)
     mean = area @ field
     lit = mean > 1e-6 * mean.max(initial=0)
-    scale = np.float32(1) / mean[lit]
+    flux = entries.area[:, None] * radiosity[:, lit]
+    # the number of entries that would share the flux evenly
+    entries_lit = flux.sum(axis=0) ** 2 / (flux**2).sum(axis=0)
+    scale = (np.minimum(entries_lit / LIT, 1) / mean[lit]).astype(np.float32)
     return radiosity[:, lit] * scale, field[:, lit] * scale
 
 
