@@ -67,8 +67,11 @@ error: single texels in the shade, too dark to count in it, show their noise."""
 RAYS_FALL = 0.75
 """Power of the rays' number with which the noise of a gather falls: they are stratified."""
 
+MOST_EXIT_RAYS = 2048
+"""Of a texel; more of them change nothing that anyone would see."""
+
 MOST_RAYS = {"exit_rays": 8192, "point_rays": 8192}
-"""Of an exit, where time is left for them."""
+"""Of an exit, where time is left for them that was asked for and that nothing else would fill."""
 
 USUAL = 3750
 """Entries that an error of 0.05 takes."""
@@ -158,7 +161,7 @@ def plan(scene: Scene, settings: Settings) -> Budget:
     budget = Budget(
         entries=_clamp((4400 if live else 3000) * finer**0.6, 800, 10_000),
         entry_rays=_clamp((512 if live else 256) * finer, 256, 4096),
-        exit_rays=_clamp(192 * finer, 32, 2048),
+        exit_rays=_clamp(192 * finer, 32, MOST_EXIT_RAYS),
         regions=_clamp(192 * finer**0.3, 48, 256),
         panes=16 if finer <= 2 else 24,
         lamps=_clamp(1400 * finer**0.5, 400, 4000),
@@ -235,7 +238,8 @@ def refine(settings: Settings, judged: list[Judged], at_points: bool, whole: boo
     if not at_points and not enough and size**2 + (LEAST_NOISE * target) ** 2 <= target**2:
         noise, enough = (target**2 - size**2) ** 0.5, True
     allowed = OF_NOISE * target if at_points else noise
-    rays = _clamp(np.ceil(last.budget.exit_rays * (last.noise / allowed) ** (1 / RAYS_FALL)), LEAST["exit_rays"], 2048)
+    wanted = np.ceil(last.budget.exit_rays * (last.noise / allowed) ** (1 / RAYS_FALL))
+    rays = _clamp(wanted, LEAST["exit_rays"], MOST_EXIT_RAYS)
     fine = replace(last.budget, exit_rays=rays)
     if whole and (enough or last.budget.entries >= MOST_ENTRIES):
         return _as_given(fine, settings)
@@ -253,7 +257,7 @@ def refine(settings: Settings, judged: list[Judged], at_points: bool, whole: boo
 def cheap_rays(settings: Settings, budget: Budget, exits: int) -> Budget:
     """The budget with as many rays at each of its exits, texels, as hardly take time beside all that came before."""
     before = budget.entries * (budget.entry_rays + budget.lamps)
-    rays = _clamp(EXITS_PAY * before / max(exits, 1), budget.exit_rays, MOST_RAYS["exit_rays"])
+    rays = _clamp(EXITS_PAY * before / max(exits, 1), budget.exit_rays, MOST_EXIT_RAYS)
     return _as_given(replace(budget, exit_rays=rays), settings)
 
 
