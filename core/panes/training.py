@@ -21,7 +21,7 @@ from ..transfer import Gatherer
 NAME = "training"
 """Of lamps that are none of the scene's."""
 
-NEAR = (0.005, 0.045)
+NEAR = (0.01, 0.15)
 """Least and most distance of near lamps from the surface below, in parts of the scene's extent."""
 
 SUNS = 12

@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 from lightpanes.addon.atlas import make_atlas
 from lightpanes.addon.extract import extract
+from lightpanes.addon.reference import cycles_bake
 from lightpanes.core import metrics
 from lightpanes.core.bake import Settings, bake
 from lightpanes.core.bake.steps import prepare
@@ -43,15 +44,20 @@ def frame(expected: float | None, warns: bool, nowhere: bool, true: float | None
 
 
 def watch(name: str, size: int, target: float, truth: Settings) -> list[dict]:
-    """Frames of the held-out sweeps of a scene of judged.py, as `frame` makes them."""
+    """Frames of the held-out sweeps of a scene of judged.py, as `frame` makes them.
+
+    Of texels that Cycles writes, as errors are everywhere: in those that a surface only touches the brute force, whose discs
+    are wider than they, is no truth.
+    """
     judged.open_scene(name)
     make_atlas(bpy.context, [item for item in bpy.context.scene.objects if item.type == "MESH"], size)
     made = extract(bpy.context, resolution=size)
+    written = cycles_bake(bpy.context, {"INDIRECT"}, size, 1, 0)[1]
     baked, fine = bake(made, Settings(error_target=target, resolution=size)), prepare(made, truth)
     relighter, expected = Relighter(baked.panes(), Tracer(made)), expected_of(baked.report)
     mask = np.zeros(size * size, bool)
     mask[fine.exits.index] = True
-    mask = mask.reshape(size, size) & baked.own & ~judged.half_buried(made, baked.resolution)
+    mask = mask.reshape(size, size) & written & baked.own & ~judged.half_buried(made, baked.resolution)
     found = []
     for path in sweeps.HELD_OUT[name].values():
         for lamp in sweeps.lamps(path, FRAMES):
