@@ -48,7 +48,7 @@ LEAST_NOISE = 0.15
 OF_REST = 0.5
 """What comes from between points, over the rest of an error, below which more points change that by a tenth or less."""
 
-FALL, FALL_SPREAD = 0.65, 0.15
+FALL, FALL_SPREAD = 0.72, 0.15
 """Power of the entries' number with which their error falls, and how far that of a scene is from it."""
 
 STEEPEST = 0.9
