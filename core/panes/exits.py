@@ -8,6 +8,7 @@ import numpy as np
 
 from ..memory import slices
 from ..surface import SurfaceSamples, Texels
+from ..threads import in_threads, thread_count
 from ..transfer import Begun, Gatherer
 from .regions import region_of
 
@@ -72,23 +73,39 @@ def joined(exits: Texels) -> np.ndarray:
 
 
 def smooth_panes(rows: np.ndarray, exits: Texels, starts: np.ndarray, beside: np.ndarray) -> np.ndarray:
-    """(t, c) float32: each row averaged with its neighbours in the atlas, binomially.
+    """(t, c) float32: rows without the gather's grain, each averaged with its neighbours in the atlas. `rows` are overwritten.
 
-    beside: as from `joined`; of those only neighbours of the same region count, whose panes mean the same. It takes
-    the gather's grain away (a seventh of the variance stays) for a texel's blur.
+    beside: as from `joined`; of those only neighbours of the same region count, whose panes mean the same. A binomial mean
+    B alone dims peaks and fills hollows by half the field's curvature. What it took away, B again of (1 − B) of the rows, is
+    given back (twicing: Tukey 1977, Exploratory Data Analysis): fields up to the third degree stay, and a quarter of the
+    variance of noise.
     """
     size, place, at = _grid(exits)
     region = region_of(starts)
-    result = np.empty_like(rows)
-    for s in slices(len(rows), 16 * rows.shape[1]):
-        total, weight = 4 * rows[s], np.full((s.stop - s.start, 1), 4, np.float32)
+
+    def mean(values, s):
+        total, weight = 4 * values[s], np.full((s.stop - s.start, 1), 4, np.float32)
         for k, (dy, dx) in enumerate(STEPS):
             near = place[at[s] + dy * (size + 2) + dx]
             same = beside[s, k] & (region[near] == region[s])
             share = (same * np.float32((2 - abs(dx)) * (2 - abs(dy))))[:, None]
-            total += share * rows[near]
+            total += share * values[near]
             weight += share
-        result[s] = total / weight
+        total /= weight
+        return total
+
+    pieces = slices(len(rows), 16 * rows.shape[1], thread_count())
+    result = np.empty_like(rows)
+
+    def first(s):
+        result[s] = mean(rows, s)
+
+    def second(s):
+        result[s] += mean(rows, s)
+
+    in_threads(first, pieces)
+    rows -= result
+    in_threads(second, pieces)
     return result
 
 
