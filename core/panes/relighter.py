@@ -13,7 +13,7 @@ from ..rays import Tracer
 from ..scene import Light
 from .display import BLOCK, PointDisplay, TexelDisplay, row_values
 from .entry_light import EntryLight, EntrySurface
-from .unevenness import nearness, unevenness
+from .unevenness import nearness, sensitivity, unevenness
 from .weights import PaneWeights
 
 
@@ -74,6 +74,7 @@ class Relighter:
         self._uneven: dict[tuple, np.ndarray] = {}
         self._beside: dict[int, np.ndarray] = {}
         self._mean: np.ndarray | None = None
+        self._steady_mean = 0.0
         self._weights: dict[tuple, tuple[np.ndarray, np.ndarray | None]] = {}
         self._blocks, self._region, slot = _blocks(panes.rows, panes.starts)
         # places of red in the blocks, green and blue follow at a BLOCK's distance; the last three are black
@@ -110,7 +111,7 @@ class Relighter:
                 unit[place] = self._unit.get(place)
                 if unit[place] is None:
                     unit[place], moment = self.entry_light.look(light)
-                    uneven[place] = unevenness(moment, self.panes.surface.albedo, self.panes.surface.size, self.near)
+                    uneven[place] = unevenness(moment, self.sensitive)
             direct = unit[place] if unit[place].ndim == 2 else unit[place][:, None]
             if extra is not None:
                 direct = direct + extra
@@ -124,9 +125,10 @@ class Relighter:
         return total
 
     @cached_property
-    def near(self) -> np.ndarray:
-        """(n,) of `nearness`: some thousand rays, once."""
-        return nearness(self.panes.surface, self.entry_light.tracer, self.entry_light.seed)
+    def sensitive(self) -> np.ndarray:
+        """(n, 3) of `sensitivity`: some thousand rays, once."""
+        surface = self.panes.surface
+        return sensitivity(surface, nearness(surface, self.entry_light.tracer, self.entry_light.seed))
 
     def _key(self, light):
         """What a lamp's weights are known by, and its extra light."""
@@ -144,7 +146,8 @@ class Relighter:
         """Mean irradiance over the surface and RGB for weights (m, 3), that of the light that no lamp changes included, W/m²."""
         if self._mean is None:
             self._mean = self.panes.weights.mean(self.panes.surface.size.astype(np.float64) ** 2)
-        return float(np.maximum(self._mean @ weights, 0).mean() + self.panes.steady.mean())
+            self._steady_mean = float(self.panes.steady.mean())
+        return float(np.maximum(self._mean @ weights, 0).mean()) + self._steady_mean
 
     def combine(self, weights: np.ndarray) -> np.ndarray:
         """Irradiance of all texels for pane weights (m, 3): each region blends its own panes.

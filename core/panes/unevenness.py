@@ -60,12 +60,17 @@ def nearness(surface: EntrySurface, tracer: Tracer, seed: int = 0) -> np.ndarray
     return result
 
 
-def unevenness(moment: np.ndarray, albedo: np.ndarray, size: np.ndarray, near: np.ndarray) -> np.ndarray:
+def sensitivity(surface: EntrySurface, near: np.ndarray) -> np.ndarray:
+    """(n, 3) float32 m⁻²: how much of the square of a moment of each entry's light, W²/m², is mean square error of the surface,
+    W²/m⁴, red, green and blue. near: (n,) m⁻⁴ as from `nearness`. It is what `unevenness` reads, the same for all lamps."""
+    area = surface.size.astype(np.float64) ** 2
+    share = area**2 * near / max(area.sum(), 1e-30)
+    return (share[:, None] * surface.albedo.astype(np.float64) ** 2).astype(np.float32)
+
+
+def unevenness(moment: np.ndarray, sensitive: np.ndarray) -> np.ndarray:
     """(3,) RMS over the surface, W/m² for each W, of what even entries make wrong, red, green and blue.
 
-    moment: (n, 3) m⁻¹, of a lamp's irradiance on each entry (`EntryLight.look`). albedo: (n, 3), size: (n,) m, near:
-    (n,) m⁻⁴ as from `nearness`.
+    moment: (n, 3) m⁻¹, of a lamp's irradiance on each entry (`EntryLight.look`). sensitive: as from `sensitivity`.
     """
-    area = size.astype(np.float64) ** 2
-    square = area**2 * near * np.einsum("nd,nd->n", moment, moment)
-    return np.sqrt(square @ albedo.astype(np.float64) ** 2 / max(area.sum(), 1e-30))
+    return np.sqrt(np.einsum("nd,nd->n", moment, moment) @ sensitive)

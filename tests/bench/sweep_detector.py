@@ -9,7 +9,6 @@ import bpy
 import numpy as np
 from lightpanes.addon.atlas import make_atlas
 from lightpanes.addon.extract import extract
-from lightpanes.addon.reference import cycles_bake
 from lightpanes.core import metrics
 from lightpanes.core.bake import Settings, bake
 from lightpanes.core.bake.steps import prepare
@@ -46,18 +45,16 @@ def frame(expected: float | None, warns: bool, nowhere: bool, true: float | None
 def watch(name: str, size: int, target: float, truth: Settings) -> list[dict]:
     """Frames of the held-out sweeps of a scene of judged.py, as `frame` makes them.
 
-    Of texels that Cycles writes, as errors are everywhere: in those that a surface only touches the brute force, whose discs
-    are wider than they, is no truth.
+    Of all texels that show, those that a surface only touches as well: Cycles leaves these black, brute force does not.
     """
     judged.open_scene(name)
     make_atlas(bpy.context, [item for item in bpy.context.scene.objects if item.type == "MESH"], size)
     made = extract(bpy.context, resolution=size)
-    written = cycles_bake(bpy.context, {"INDIRECT"}, size, 1, 0)[1]
     baked, fine = bake(made, Settings(error_target=target, resolution=size)), prepare(made, truth)
     relighter, expected = Relighter(baked.panes(), Tracer(made)), expected_of(baked.report)
     mask = np.zeros(size * size, bool)
     mask[fine.exits.index] = True
-    mask = mask.reshape(size, size) & written & baked.own & ~judged.half_buried(made, baked.resolution)
+    mask = mask.reshape(size, size) & baked.own & ~judged.half_buried(made, baked.resolution)
     found = []
     for path in sweeps.HELD_OUT[name].values():
         for lamp in sweeps.lamps(path, FRAMES):
@@ -101,7 +98,7 @@ def cost(made: Scene, settings: Settings) -> dict:
     """What the detector adds to a relight of one lamp that moved, in turns with the relight itself."""
     baked = bake(made, settings)
     relighter, expected = Relighter(baked.panes(), Tracer(made)), expected_of(baked.report)
-    surface, weights = relighter.panes.surface, relighter.panes.weights
+    weights = relighter.panes.weights
     found = []
     for place in np.linspace(*sweeps.PATHS["the open room"], TURNS):
         light = sweeps.lamp(place)
@@ -115,8 +112,8 @@ def cost(made: Scene, settings: Settings) -> dict:
         direct = (unit[:, None] * light.power).astype(np.float32)
         started.append(time.perf_counter())
         weights.sketch @ direct
-        unevenness(moment, surface.albedo, surface.size, relighter.near)
+        unevenness(moment, relighter.sensitive)
         found.append(np.diff([*started, time.perf_counter()]))
     relight, word, _, parts = 1000 * np.median(found, axis=0)
-    detail = f"{parts:.2f} of it within a relight of {relight:.1f} ms, which looks at {len(surface)} entries"
+    detail = f"{parts:.2f} of it within a relight of {relight:.1f} ms, which looks at {len(relighter.panes.surface)} entries"
     return harness.row("sweeps, detector: time a relight, median", parts + word, MILLISECONDS, "ms", detail=detail)

@@ -1,11 +1,14 @@
 """What even entries make wrong: nearness against its closed form, moments against the lamp's place, and both together
 against light that leaves an entry where it really does."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from lightpanes.core.bake.steps import prepare
 from lightpanes.core.panes.entry_light import EntryLight
-from lightpanes.core.panes.unevenness import nearness, unevenness
+from lightpanes.core.panes.unevenness import nearness, sensitivity, unevenness
 from lightpanes.core.rays import Tracer
 
 from .shapes import box, lamp, quick, room, scene
@@ -42,9 +45,10 @@ def test_moments_point_to_the_lamp():
     assert (np.linalg.norm(moment, axis=1) <= unit * ready.entries.span()).all()
     # linear in power, and nothing where nothing reflects
     near = nearness(ready.surface, ready.tracer)
-    size, albedo = ready.surface.size, ready.surface.albedo
-    assert np.allclose(unevenness(3 * moment, albedo, size, near), 3 * unevenness(moment, albedo, size, near))
-    assert not unevenness(moment, 0 * albedo, size, near).any()
+    sensitive = sensitivity(ready.surface, near)
+    assert np.allclose(unevenness(3 * moment, sensitive), 3 * unevenness(moment, sensitive))
+    black = replace(ready.surface, albedo=0 * ready.surface.albedo)
+    assert not unevenness(moment, sensitivity(black, near)).any()
 
 
 def test_a_small_entry_below_a_ceiling():
@@ -57,6 +61,7 @@ def test_a_small_entry_below_a_ceiling():
     wrong = albedo * side**2 * (rise * height**2 / (np.pi * distance2**2)).mean(axis=2)
     expected = np.sqrt((wrong**2).sum() * (y[1] - y[0]) ** 2)
     one, near = np.array([moment, 0, 0])[None], np.array([2 / (5 * np.pi * height**4)])
-    found = unevenness(one, np.full((1, 3), albedo), np.array([side]), near)
+    entry = SimpleNamespace(size=np.array([side]), albedo=np.full((1, 3), albedo))
+    found = unevenness(one, sensitivity(entry, near))
     # of all surface, which is the entry here
     assert found * side == pytest.approx(expected, rel=0.01)
