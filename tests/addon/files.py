@@ -1,6 +1,16 @@
-"""Empty files, saving and opening again."""
+"""Empty files, saving and opening again, and a folder that takes none."""
+
+import sys
 
 import bpy
+import pytest
+
+REFUSES = "/proc"
+"""On Linux nobody, not even root, makes files or folders there."""
+
+needs_a_refusing_folder = pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason=f"needs {REFUSES}, which refuses files even to root"
+)
 
 
 def empty():

@@ -1,7 +1,6 @@
 """Animations: the images that are written for engines hold each frame's own light, and so does each rendered frame."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from lightpanes.core.panes import Relighter  # noqa: E402
 from lightpanes.core.rays import Tracer  # noqa: E402
 from lightpanes.core.scene import SceneError  # noqa: E402
 
-from .files import baked_once, empty, reopen  # noqa: E402
+from .files import REFUSES, baked_once, empty, needs_a_refusing_folder, reopen  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("quick")
 
@@ -208,9 +207,9 @@ def test_an_earlier_run_is_replaced_and_what_it_leaves_is_named(baked, tmp_path,
     assert len(manifest(tmp_path)["frames"]) == 3
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a folder that not even root can write to")
-def test_read_only_folder(baked):
-    assert refused("/proc/lightpanes").startswith("Can't write to folder '/proc/lightpanes': ")
+@needs_a_refusing_folder
+def test_a_folder_that_refuses(baked):
+    assert refused(f"{REFUSES}/lightpanes").startswith(f"Can't write to folder '{REFUSES}/lightpanes': ")
     assert baked.frame_current == 2
 
 
@@ -389,11 +388,9 @@ def test_command_beside_the_file_and_in_blender(file):
         (["--start", "1.5"], "argument --start: '1.5' is not a whole number from -1048574 to 1048574"),
         (["--json", "/none/report.json"], "Can't write the report to '/none/report.json': its folder must exist."),
         pytest.param(
-            ["--output", "/proc/lightpanes"],
-            "Can't write to folder '/proc/lightpanes': ",
-            marks=pytest.mark.skipif(
-                not sys.platform.startswith("linux"), reason="needs a folder that not even root can write to"
-            ),
+            ["--output", f"{REFUSES}/lightpanes"],
+            f"Can't write to folder '{REFUSES}/lightpanes': ",
+            marks=needs_a_refusing_folder,
         ),
     ],
 )

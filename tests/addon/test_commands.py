@@ -1,7 +1,6 @@
 """The command line: exit codes, one clear line for bad input, and what is written where."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
@@ -10,6 +9,8 @@ bpy = pytest.importorskip("bpy")
 
 from lightpanes.addon import commands, store  # noqa: E402
 from lightpanes.core.bake import Progress  # noqa: E402
+
+from .files import REFUSES, needs_a_refusing_folder  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("quick")
 
@@ -168,10 +169,10 @@ def test_bad_words(blender, capsys):
     assert "unrecognized arguments: --fast" in complaint(capsys, "bake", "x.blend", "--fast")
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a folder that not even root can write to")
-def test_read_only_folder(file, capsys):
-    message = complaint(capsys, "bake", file, "--output", "/proc/lightpanes")
-    assert message.startswith("Can't write to folder '/proc/lightpanes': ")
+@needs_a_refusing_folder
+def test_a_folder_that_refuses(file, capsys):
+    message = complaint(capsys, "bake", file, "--output", f"{REFUSES}/lightpanes")
+    assert message.startswith(f"Can't write to folder '{REFUSES}/lightpanes': ")
 
 
 def test_a_file_where_the_folder_should_be(file, capsys):
@@ -186,11 +187,11 @@ def test_report_into_a_missing_folder(file, capsys):
     )
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a folder that not even root can write to")
+@needs_a_refusing_folder
 @pytest.mark.parametrize("word", ["bake", "info", "chart"])
-def test_report_into_a_read_only_folder(file, capsys, word):
+def test_report_into_a_folder_that_refuses(file, capsys, word):
     """Known before anything is baked."""
-    path = "/proc/report.json"
+    path = f"{REFUSES}/report.json"
     assert complaint(capsys, word, file, "--json", path).startswith(f"Can't write the report to '{path}': ")
     assert [p.name for p in file.parent.iterdir()] == ["room.blend"]
 

@@ -387,7 +387,7 @@ def unsaved() -> Found:
     "Where no folder can be made the images are packed into the .blend after all, and the panel says why.",
     "largest difference after saving and opening again, over the mean",
     1e-6,
-    """addon/test_beside_lost.py::test_where_no_folder_can_be_made addon/test_commands.py::test_read_only_folder
+    """addon/test_beside_lost.py::test_where_no_folder_can_be_made addon/test_commands.py::test_a_folder_that_refuses
     addon/test_saving.py::test_saving_images_where_none_can_be""",
 )
 def read_only() -> Found:
