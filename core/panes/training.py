@@ -22,7 +22,8 @@ NAME = "training"
 """Of lamps that are none of the scene's."""
 
 NEAR = (0.01, 0.15)
-"""Least and most distance of near lamps from the surface below, in parts of the scene's extent."""
+"""Least and most distance of near lamps from the surface below, in parts of the scene's extent. Nearer, they light single entries
+from next to them, and panes learn these in place of what many lamps have in common; farther, lamps beside a surface are new."""
 
 SUNS = 12
 """One training lamp in so many is a sun, where the scene has one."""
