@@ -107,7 +107,7 @@ def _detector(axes, figures):
     axes.set(title="expected against true error", xscale="log", yscale="log", xlim=ends, ylim=ends, xlabel="expected in the panel", ylabel="true")  # fmt: skip
     for axis in (axes.xaxis, axes.yaxis):
         _percent(axis)
-    axes.legend(fontsize=8, frameon=False, loc="upper left")
+    axes.legend(fontsize=8, frameon=False, loc="lower right")
 
 
 if __name__ == "__main__":
