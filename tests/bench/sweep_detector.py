@@ -115,5 +115,7 @@ def cost(made: Scene, settings: Settings) -> dict:
         unevenness(moment, relighter.sensitive)
         found.append(np.diff([*started, time.perf_counter()]))
     relight, word, _, parts = 1000 * np.median(found, axis=0)
-    detail = f"{parts:.2f} of it within a relight of {relight:.1f} ms, which looks at {len(relighter.panes.surface)} entries"
+    detail = (
+        f"{parts:.2f} of it within a relight of {relight:.1f} ms, which looks at {len(relighter.panes.surface)} entries"
+    )
     return harness.row("sweeps, detector: time a relight, median", parts + word, MILLISECONDS, "ms", detail=detail)
