@@ -37,8 +37,8 @@ SURE = 0.9
 the error is another, by a tenth or so."""
 
 GOAL, SAFE_GOAL = 0.95, 0.85
-"""Parts of that which a larger budget aims at: no step hits what it aims at. The other after a whole bake has failed, when one
-more failure costs more than some entries more."""
+"""Parts of that which a larger budget aims at: no step hits what it aims at. The other once a whole bake has missed what it aimed
+at, when one more that misses costs more than some entries more."""
 
 OF_NOISE, OF_POINTS = 0.4, 0.6
 """Parts of the target that the gather's noise, and points, may take; they add up as squares."""

@@ -18,7 +18,7 @@ import numpy as np
 from ..files import replacing
 from ..transfer import Begun, Links, Transport
 
-VERSION = 1
+VERSION = 2
 """Of what the files hold: another number where the same scene and settings lead to other parts."""
 
 _OURS = re.compile(r"lightpanes-[0-9a-f]{32}-[0-9a-f]{32}\.npz")

@@ -21,7 +21,7 @@ from .check import gather_noise, interpolation_error
 from .clock import Clock, Progress
 from .error_map import encode, error_map
 from .fresh_light import entry_fields
-from .kept import Cancelled, Kept
+from .kept import Cancelled, Kept, digest
 from .record import Bake, point_arrays
 from .rounds import settle
 from .steps import Prepared, gather_in_time, transport_parts
@@ -274,7 +274,8 @@ def _at_texels(made: Prepared, settings: Settings, clock: Clock) -> tuple[Panes,
     exits, starts = made.exits, made.starts
 
     def gather(rays, seed):
-        begun = made.kept.part(f"exits {rays}", Begun)
+        # as points do: rows of other regions would not fit
+        begun = made.kept.part(f"exits {rays} {digest(made.exits.index, starts).hex()}", Begun)
         clock.skip(rays * len(begun.done) * CHUNK)
         return gather_panes(made.gatherer, exits.samples, starts, made.tables, rays, seed, clock.tick, begun)
 
@@ -291,7 +292,8 @@ def _atlas(made: Prepared, rows: np.ndarray, starts: np.ndarray, beside: np.ndar
     first_hit = None
     if made.has_first_hit:
         shown = np.concatenate([rows[:, made.modes.panes + 3 :], np.zeros((1, 3), np.float32)])[fill]
-        first_hit = shown.reshape(exits.resolution, exits.resolution, 3)
+        # smoothing undershoots beside edges of light
+        first_hit = np.maximum(shown, 0).reshape(exits.resolution, exits.resolution, 3)
     return panes, first_hit
 
 

@@ -78,7 +78,8 @@ def smooth_panes(rows: np.ndarray, exits: Texels, starts: np.ndarray, beside: np
     beside: as from `joined`; of those only neighbours of the same region count, whose panes mean the same. A binomial mean
     B alone dims peaks and fills hollows by half the field's curvature. What it took away, B again of (1 − B) of the rows, is
     given back (twicing: Tukey 1977, Exploratory Data Analysis): fields up to the third degree stay, and a quarter of the
-    variance of noise.
+    variance of noise. So where all neighbours within two texels count; beside borders slopes lose a tenth of a texel's step, and
+    either side of a sharp edge overshoots by a sixteenth of it.
     """
     size, place, at = _grid(exits)
     region = region_of(starts)

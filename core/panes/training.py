@@ -25,6 +25,10 @@ NEAR = (0.01, 0.15)
 """Least and most distance of near lamps from the surface below, in parts of the scene's extent. Nearer, they light single entries
 from next to them, and panes learn these in place of what many lamps have in common; farther, lamps beside a surface are new."""
 
+CRACK = 0.003
+"""Room around a lamp, in parts of the scene's extent, below which it hangs in a crack, where it teaches nothing; where nothing is
+wider, the roomiest places serve."""
+
 SUNS = 12
 """One training lamp in so many is a sun, where the scene has one."""
 
@@ -103,8 +107,11 @@ def training_lamps(scene: Scene, points: SurfaceSamples, gatherer: Gatherer, cou
         # twice as many as wanted: those in cracks fall out
         chosen = np.sort(rng.integers(0, len(points), int(2 * share * count) + 8))
         found = free_air(points.take(chosen), bvh, extent, seed + 17, near)
-        found = found[room_around(found, gatherer) > 0.6 * NEAR[0] * extent]
-        places.append(found[rng.permutation(len(found))[: int(share * count)]])
+        room = room_around(found, gatherer)
+        # in turns; a tunnel kilometres long is all cracks
+        order = rng.permutation(len(found))
+        order = order[np.argsort(-np.minimum(room[order], CRACK * extent), kind="stable")][: int(share * count)]
+        places.append(found[order[room[order] > 0]])
     return point_lamps(np.concatenate(places)) + suns
 
 

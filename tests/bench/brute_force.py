@@ -27,6 +27,10 @@ RAYS = 1024
 """Rays from a texel, that bring what virtual lights next to it are too wide to."""
 
 
+LEAST_SLANT = 1e-3
+"""Cosine at a surface below which a ray from the lamp counts as no more slanting: its disc would have no end."""
+
+
 def brute_force(ready: Prepared, light: Light, seed: int) -> np.ndarray:
     """(t,) irradiance of `ready.exits` under a point lamp of grey light, in a scene without glass and textures, however
     small the lamp's pool is.
@@ -74,9 +78,6 @@ class _Lit:
     def disc(self, distance, slant):
         """m²: of a ray from the lamp, as wide as it is where it lands."""
         return 4 * np.pi / VIRTUAL * distance**2 / np.maximum(slant, LEAST_SLANT)
-
-
-LEAST_SLANT = 1e-3
 
 
 def _of_discs(lit, position, facing, seed):

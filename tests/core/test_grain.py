@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from lightpanes.core.bake import bake
 from lightpanes.core.panes.exits import STEPS, joined, smooth_panes
+from lightpanes.core.scene import Material
 from lightpanes.core.surface import make_texels
 
-from .shapes import quad, scene
+from .shapes import box, quad, quick, scene
 
 SIDE = 48
 
@@ -61,3 +63,13 @@ def test_regions_do_not_mix(sheet):
     rows = np.where(np.arange(len(texels)) < half, 1.0, 100.0)[:, None]
     found = smoothed(texels, rows, np.array([0, half, len(texels)]))
     assert np.abs(found / rows - 1).max() < 1e-6
+
+
+def test_light_seen_at_first_is_never_negative():
+    """A small glowing block lights a room with an edge to its light, beside which smoothing undershoots."""
+    glow = Material("Glow", (0.5,) * 3, emission=(20.0,) * 3)
+    parts = (*box((0, 0, 0), (4, 3, 2.5), True), 0), (*box((1.9, 1.4, 0), (2.1, 1.6, 0.1)), 1)
+    shade = (*box((1, 0.6, 0.3), (3, 2.4, 0.35)), 0)
+    made = scene(*parts, shade, materials=(Material("Wall"), glow))
+    baked = bake(made, quick(entries=200, regions=8, exit_rays=32, exits="texels"))
+    assert baked.direct.min() == 0 < baked.direct.max()

@@ -20,7 +20,7 @@ from lightpanes.core.scene import Material
 from lightpanes.core.surface import make_patches
 from lightpanes.core.transfer.entries import PLACES
 
-from .shapes import baked_room, globe, lamp, quick, relighter, room, scene
+from .shapes import baked_room, box, globe, lamp, quick, relighter, room, scene
 
 ORACLE_RAYS = 512
 """So many that the oracle's own noise is well below what is compared."""
@@ -324,6 +324,17 @@ def test_training_lamps_hang_in_free_air():
     # by 64 rays, which miss the nearest point a little
     assert (clear > exact - 1e-3).all()
     assert np.median(clear - exact) < 0.02
+
+
+@pytest.mark.parametrize("length", [60, 210, 2000])
+def test_a_long_tunnel_has_as_many_training_lamps_as_a_room(length):
+    """Its width is a crack, measured by its length."""
+    made = scene((*box((0, 0, 0), (length, 3, 2.5), True), 0), lights=[lamp((1, 1.5, 2))])
+    ready = prepare(made, quick(entries=200, lamps=20, regions=4, panes=2))
+    lights = training_lamps(made, ready.places, ready.gatherer, 150, 3)
+    place = np.array([light.position for light in lights])
+    assert 145 <= len(place) <= 151
+    assert (place > 0).all() and (place < [length, 3, 2.5]).all()
 
 
 # ---- the paper's compression ----
