@@ -36,9 +36,8 @@ SURE = 0.9
 """Part of the error target that a bake's own error must not exceed: under other lamps than those that it judges itself by
 the error is another, by a tenth or so."""
 
-GOAL, SAFE_GOAL = 0.95, 0.85
-"""Parts of that which a larger budget aims at: no step hits what it aims at. The other once a whole bake has missed what it aimed
-at, when one more that misses costs more than some entries more."""
+GOAL = 0.95
+"""Part of that which a larger budget aims at: no step hits what it aims at."""
 
 OF_NOISE, OF_POINTS = 0.4, 0.6
 """Parts of the target that the gather's noise, and points, may take; they add up as squares."""
@@ -244,8 +243,7 @@ def refine(settings: Settings, judged: list[Judged], at_points: bool, whole: boo
     fine = replace(last.budget, exit_rays=rays)
     if whole and (enough or last.budget.entries >= MOST_ENTRIES):
         return _as_given(fine, settings)
-    aim = SAFE_GOAL if whole and len(judged) > 1 else GOAL
-    goal = max((aim * target) ** 2 - noise**2, (0.3 * target) ** 2) ** 0.5
+    goal = max((GOAL * target) ** 2 - noise**2, (0.3 * target) ** 2) ** 0.5
     # a step too far costs more than one more step
     most = 6.0 if len(judged) == 1 else 2.5
     if last.budget.entries * (size / goal) ** (1 / STEEPEST) > HOPELESS * MOST_ENTRIES:

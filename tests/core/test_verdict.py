@@ -237,14 +237,6 @@ def test_one_small_bake_tells_what_a_target_takes():
     assert 0.8 * SURE * 0.05 < look(budget).error <= SURE * 0.05
 
 
-def test_after_a_whole_bake_that_failed_more_is_asked_for():
-    """A second failure costs as much again; where a bake was but looked at, the next costs what it must anyway."""
-    look, settings = scene_whose_error_falls(FALL, 0.12, 0.01), Settings(error_target=0.05)
-    judged = [look(replace(sized(plan(room(), settings), n, settings), exit_rays=192)) for n in (900, 1500)]
-    looked_at, whole = (refine(settings, judged, False, whole).entries for whole in (False, True))
-    assert 1.1 * looked_at < whole < 1.5 * looked_at
-
-
 @pytest.mark.parametrize("power", [0.4, 0.6, 0.9])
 @pytest.mark.parametrize("target", [0.1, 0.05])
 def test_rounds_end_at_the_target_and_not_far_below(power, target):
