@@ -25,9 +25,9 @@ NEAR = (0.01, 0.15)
 """Least and most distance of near lamps from the surface below, in parts of the scene's extent. Nearer, they light single entries
 from next to them, and panes learn these in place of what many lamps have in common; farther, lamps beside a surface are new."""
 
-CRACK = 0.003
-"""Room around a lamp, in parts of the scene's extent, below which it hangs in a crack, where it teaches nothing; where nothing is
-wider, the roomiest places serve."""
+CRACK = 0.006
+"""Room around a lamp, in parts of the scene's extent, below which it hangs in a crack; where too little is wider, the roomiest
+places serve."""
 
 SUNS = 12
 """One training lamp in so many is a sun, where the scene has one."""
@@ -108,10 +108,12 @@ def training_lamps(scene: Scene, points: SurfaceSamples, gatherer: Gatherer, cou
         chosen = np.sort(rng.integers(0, len(points), int(2 * share * count) + 8))
         found = free_air(points.take(chosen), bvh, extent, seed + 17, near)
         room = room_around(found, gatherer)
-        # in turns; a tunnel kilometres long is all cracks
-        order = rng.permutation(len(found))
-        order = order[np.argsort(-np.minimum(room[order], CRACK * extent), kind="stable")][: int(share * count)]
-        places.append(found[order[room[order] > 0]])
+        wide = room > CRACK * extent
+        chosen = rng.permutation(np.flatnonzero(wide))
+        # a tunnel a hundred times as long as wide is all cracks
+        narrow = np.flatnonzero(~wide & (room > 0))
+        chosen = np.concatenate([chosen, narrow[np.argsort(-room[narrow], kind="stable")]])
+        places.append(found[chosen[: int(share * count)]])
     return point_lamps(np.concatenate(places)) + suns
 
 
